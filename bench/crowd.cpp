@@ -16,10 +16,10 @@
 #include "board.hpp"
 #include "client/axon/client.hpp"
 #include "entity_manager/entity_manager.hpp"
-#include "entity_manager/server_communicators.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
 #include "open_entity.hpp"
 #include "robots.hpp"
-#include "transport/memory_lock.hpp"
+#include "transport/process/memory_lock.hpp"
 
 namespace axon::bench {
 

@@ -6,7 +6,7 @@
 
 #include <asio/post.hpp>
 
-#include "entity_manager/server_communicators.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
 
 namespace axon::bench {
 

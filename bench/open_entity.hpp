@@ -10,7 +10,7 @@
 
 #include "board.hpp"
 #include "common/ids.hpp"
-#include "entity_manager/entity_communicator.hpp"
+#include "entity_manager/links/server/entity_communicator.hpp"
 
 namespace axon::bench {
 

@@ -19,7 +19,7 @@
 
 #include "board.hpp"
 #include "child.hpp"
-#include "transport/communicator.hpp"
+#include "transport/ice/communicator.hpp"
 
 namespace axon::bench {
 

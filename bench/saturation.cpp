@@ -13,7 +13,7 @@
 #include "mosquitto_peer.hpp"
 #include "report.hpp"
 #include "streams.hpp"
-#include "transport/communicator.hpp"
+#include "transport/ice/communicator.hpp"
 
 // How long a stop takes while others take data as fast as they can and a tenth of them has stopped reading.
 // Method: docs/reference/benchmarks.md.

@@ -9,7 +9,7 @@
 #include "kinds.hpp"
 #include "load.hpp"
 #include "raw_client.hpp"
-#include "transport/communicator.hpp"
+#include "transport/ice/communicator.hpp"
 
 namespace axon::faults {
 

@@ -14,9 +14,9 @@
 
 #include "common/ids.hpp"
 #include "raw_paths.hpp"
-#include "transport/communicator.hpp"
-#include "transport/contract.hpp"
-#include "transport/convert.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/contract.hpp"
+#include "transport/ice/convert.hpp"
 
 namespace axon::faults {
 

@@ -12,8 +12,8 @@
 #include <string_view>
 #include <thread>
 
-#include "client/direct_links.hpp"
-#include "client/ice_direct_path.hpp"
+#include "client/direct/direct_links.hpp"
+#include "client/direct/ice_direct_path.hpp"
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 

@@ -17,11 +17,11 @@
 #include "board.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "entity_manager/entity_manager.hpp"
-#include "entity_manager/file_journal.hpp"
-#include "entity_manager/file_storage.hpp"
-#include "entity_manager/server_communicators.hpp"
-#include "transport/communicator.hpp"
-#include "transport/logging.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
+#include "entity_manager/storage/file_journal.hpp"
+#include "entity_manager/storage/file_storage.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/process/logging.hpp"
 
 namespace axon::faults {
 

@@ -5,11 +5,11 @@
 #include <string>
 #include <vector>
 
-#include "client/direct_links.hpp"
-#include "client/direct_sending.hpp"
-#include "client/server_link.hpp"
-#include "client/session_core.hpp"
-#include "client/stop_desk.hpp"
+#include "client/base/server_link.hpp"
+#include "client/core/session_core.hpp"
+#include "client/direct/direct_links.hpp"
+#include "client/direct/direct_sending.hpp"
+#include "client/stops/stop_desk.hpp"
 #include "simulation/direct_ways.hpp"
 #include "simulation/network.hpp"
 #include "simulation/observer.hpp"

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "client/direct_path.hpp"
+#include "client/direct/direct_path.hpp"
 #include "common/result.hpp"
 #include "simulation/network.hpp"
 #include "simulation/timeline.hpp"
@@ -63,8 +63,8 @@ struct Road {
     int open = 0;  ///< paths that stand
 };
 
-/// A direct path over two connections of the simulated network: what src/client/ice_direct_path.cpp is over
-/// Ice. Its outboxes have no bound.
+/// A direct path over two connections of the simulated network: what src/client/direct/ice_direct_path.cpp is
+/// over Ice. Its outboxes have no bound.
 class SimulatedPath final : public client::DirectPath,
                             public DirectCaller,
                             public std::enable_shared_from_this<SimulatedPath> {

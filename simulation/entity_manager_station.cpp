@@ -9,7 +9,7 @@
 #include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
 #include "direct/always_relayed.hpp"
-#include "entity_manager/stop_counter.hpp"
+#include "entity_manager/ports/stop_counter.hpp"
 #include "simulation/robot_application.hpp"
 
 namespace axon::simulation {
@@ -20,7 +20,7 @@ using namespace std::chrono_literals;
 using entity_manager::EntityManagerCore;
 using entity_manager::Inbox;
 
-// As src/entity_manager/entity_communicator.cpp and back_end_interface.cpp have them.
+// As src/entity_manager/links/server/entity_communicator.cpp and back_end_interface.cpp have them.
 constexpr Duration kFirstBackoff = 100ms;
 constexpr Duration kLastBackoff = 2s;
 constexpr Duration kLoginTimeout = 3s;
@@ -30,7 +30,7 @@ constexpr Duration kHelloTime = 1s;
 constexpr Duration kWatchdogBusy = 100ms;
 constexpr Duration kWatchdogIdle = 500ms;
 constexpr int kFirstManager = 100;
-// As src/entity_manager/direct_door.cpp and entity_manager.cpp have them.
+// As src/entity_manager/links/direct/direct_door.cpp and entity_manager.cpp have them.
 constexpr std::size_t kChallenges = 64;
 constexpr int kOpenings = 8;
 

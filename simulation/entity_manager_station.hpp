@@ -8,9 +8,9 @@
 #include <unordered_map>
 #include <utility>
 
-#include "entity_manager/direct_desk.hpp"
-#include "entity_manager/entity_manager_core.hpp"
-#include "entity_manager/inbox.hpp"
+#include "entity_manager/core/entity_manager_core.hpp"
+#include "entity_manager/links/direct/direct_desk.hpp"
+#include "entity_manager/strand/inbox.hpp"
 #include "simulation/direct_ways.hpp"
 #include "simulation/network.hpp"
 #include "simulation/observer.hpp"

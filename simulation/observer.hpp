@@ -13,7 +13,7 @@
 
 #include "common/ids.hpp"
 #include "common/routed.hpp"
-#include "entity_manager/journal_record.hpp"
+#include "entity_manager/ports/journal_record.hpp"
 #include "simulation/network.hpp"
 #include "simulation/timeline.hpp"
 

@@ -26,7 +26,7 @@ entity_server::EntityServerCoreSettings settings() {
 }
 
 /// One lane to one client, behind the product's OutboxCore: who reads slowly fills it, as in
-/// transport/outbox.hpp.
+/// transport/outbox/outbox.hpp.
 class ToClientOutbox final : public front_end_server::ClientOutbox,
                              public std::enable_shared_from_this<ToClientOutbox> {
   public:
@@ -85,7 +85,7 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     using Traffic = transport::Traffic;
     using Parcel = std::function<void(ClientStation& to, std::uint64_t attempt)>;
     using Core = transport::OutboxCore<Parcel>;
-    static constexpr std::size_t kOverhead = 256;  // as in transport/callback_sender.hpp
+    static constexpr std::size_t kOverhead = 256;  // as in transport/outbox/callback_sender.hpp
 
     bool entityMsg(Lane lane, direct::Keeping keeping, const Header& head, std::string_view message,
                    SenderKey from) {

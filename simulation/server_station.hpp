@@ -9,7 +9,7 @@
 #include "front_end_server/front_end_core.hpp"
 #include "simulation/network.hpp"
 #include "simulation/observer.hpp"
-#include "transport/outbox_core.hpp"
+#include "transport/outbox/outbox_core.hpp"
 
 namespace axon::simulation {
 

@@ -156,11 +156,11 @@ class Invariants(TreeCase):
 
     def test_a_server_that_knows_what_carries_its_topic(self):
         self.write("src/front_end_server/servants.cpp", GPL + "// asks the TopicManager\n")
-        self.write("src/entity_server/entity_server.cpp", GPL + '#include "transport/storm_topics.hpp"\n')
-        self.write("src/transport/adapter.cpp", GPL + "#include <IceStorm/IceStorm.h>\n")
-        self.write("src/transport/storm_topics.cpp", GPL + "#include <IceStorm/IceStorm.h>\n")
+        self.write("src/entity_server/entity_server.cpp", GPL + '#include "transport/topics/storm_topics.hpp"\n')
+        self.write("src/transport/ice/adapter.cpp", GPL + "#include <IceStorm/IceStorm.h>\n")
+        self.write("src/transport/topics/storm_topics.cpp", GPL + "#include <IceStorm/IceStorm.h>\n")
         self.assertEqual(sorted(f.split(" ")[0] for f in self.found()),
-                         ["src/entity_server/entity_server.cpp:2:", "src/front_end_server/servants.cpp:2:", "src/transport/adapter.cpp:2:"])
+                         ["src/entity_server/entity_server.cpp:2:", "src/front_end_server/servants.cpp:2:", "src/transport/ice/adapter.cpp:2:"])
 
     def test_a_clean_tree_has_no_findings(self):
         self.write("src/entity_server/entity_monitor.cpp", GPL + '#include "common/routed.hpp"\n// never sleep_for( here\n')
@@ -212,10 +212,20 @@ class Invariants(TreeCase):
         self.assertFound("robots/peoplebot/main.cpp:2: 8 ")
 
     def test_a_core_with_sockets_or_a_clock_of_its_own_is_found(self):
-        self.write("src/entity_manager/entity_manager_core.cpp",
+        self.write("src/entity_manager/core/entity_manager_core.cpp",
                    GPL + "#include <sys/socket.h>\nauto t = std::chrono::steady_clock::now();\n")
-        self.assertFound("src/entity_manager/entity_manager_core.cpp:2: 10 ")
-        self.assertFound("src/entity_manager/entity_manager_core.cpp:3: 10 ")
+        self.assertFound("src/entity_manager/core/entity_manager_core.cpp:2: 10 ")
+        self.assertFound("src/entity_manager/core/entity_manager_core.cpp:3: 10 ")
+
+    def test_folders_that_include_each_other_are_found_whatever_is_in_between(self):
+        self.write("src/a/a.hpp", GPL + '#include "b/b.hpp"\n#include "d/d.hpp"\n')
+        self.write("src/b/b.hpp", GPL)
+        self.write("src/b/other.cpp", GPL + '#include "b/c/c.hpp"\n')
+        self.write("src/b/c/c.hpp", GPL + '#include "a/a.hpp"\n')
+        self.write("src/d/d.hpp", GPL)
+        self.write("src/d/d_test.cpp", GPL + '#include "a/a.hpp"\n')
+        self.assertEqual([f.split(" ")[0] for f in self.found()],
+                         ["src/a/a.hpp:2:", "src/b/c/c.hpp:2:", "src/b/other.cpp:2:"])
 
     def test_a_missing_or_wrong_licence_line_is_found(self):
         self.write("src/client/a.cpp", "#include <string>\n")

@@ -157,7 +157,7 @@ Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
 """
 
 
-MESSAGE_SIZE_MAX = 4096  # src/transport/communicator.hpp
+MESSAGE_SIZE_MAX = 4096  # src/transport/ice/communicator.hpp
 
 
 def glacier2(plan, name, instance, whom, servers):

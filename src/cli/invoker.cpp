@@ -20,7 +20,7 @@
 
 #include "cli/agent.hpp"
 #include "cli/agent_link.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/text.hpp"
 

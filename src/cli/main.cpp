@@ -13,7 +13,7 @@
 #include "cli/password.hpp"
 #include "cli/view.hpp"
 #include "common/clock.hpp"
-#include "transport/logging.hpp"
+#include "transport/process/logging.hpp"
 
 namespace {
 

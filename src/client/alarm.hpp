@@ -4,10 +4,10 @@
 #include <memory>
 #include <mutex>
 
-#include "client/next_turn.hpp"
+#include "client/sending/next_turn.hpp"
 #include "common/clock.hpp"
 #include "common/routed.hpp"
-#include "transport/timer_thread.hpp"
+#include "transport/ice/timer_thread.hpp"
 
 namespace axon::client {
 

@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <exception>
 
-#include "client/log.hpp"
+#include "client/base/log.hpp"
 
 namespace axon::client {
 

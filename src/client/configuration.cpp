@@ -2,7 +2,7 @@
 #include <sys/stat.h>
 
 #include "axon/client.hpp"
-#include "transport/properties.hpp"
+#include "transport/ice/properties.hpp"
 
 namespace axon::client {
 

@@ -10,8 +10,8 @@
 #include <utility>
 
 #include "axon/client.hpp"
-#include "client/durations.hpp"
-#include "client/entity_query.hpp"
+#include "client/base/durations.hpp"
+#include "client/core/entity_query.hpp"
 #include "client/session.hpp"
 #include "client/surveys.hpp"
 #include "client/upload.hpp"

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "axon/client.hpp"
-#include "client/session_observer.hpp"
+#include "client/base/session_observer.hpp"
 #include "common/ids.hpp"
 
 namespace axon::client {

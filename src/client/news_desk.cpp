@@ -5,8 +5,8 @@
 
 #include <algorithm>
 
-#include "client/content.hpp"
-#include "client/log.hpp"
+#include "client/base/log.hpp"
+#include "client/core/content.hpp"
 
 namespace axon::client {
 

@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "axon/client.hpp"
+#include "client/base/session_observer.hpp"
 #include "client/callback_queue.hpp"
 #include "client/handles.hpp"
-#include "client/session_observer.hpp"
 #include "client/upload.hpp"
 
 namespace axon::client {

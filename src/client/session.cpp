@@ -9,13 +9,13 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "client/communicators.hpp"
-#include "client/durations.hpp"
-#include "client/ice_direct_path.hpp"
-#include "client/log.hpp"
-#include "client/server_connection.hpp"
-#include "transport/routed_session.hpp"
-#include "transport/tls.hpp"
+#include "client/base/durations.hpp"
+#include "client/base/log.hpp"
+#include "client/connection/communicators.hpp"
+#include "client/connection/server_connection.hpp"
+#include "client/direct/ice_direct_path.hpp"
+#include "transport/ice/tls.hpp"
+#include "transport/sessions/routed_session.hpp"
 
 namespace axon::client {
 namespace {

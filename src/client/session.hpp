@@ -14,15 +14,15 @@
 
 #include "axon/client.hpp"
 #include "client/alarm.hpp"
-#include "client/connection_events.hpp"
-#include "client/datagram_sender.hpp"
-#include "client/departure.hpp"
-#include "client/direct_links.hpp"
-#include "client/message_sender.hpp"
+#include "client/connection/connection_events.hpp"
+#include "client/connection/datagram_sender.hpp"
+#include "client/connection/reconnection.hpp"
+#include "client/core/session_core.hpp"
+#include "client/direct/direct_links.hpp"
 #include "client/news_desk.hpp"
-#include "client/reconnection.hpp"
-#include "client/session_core.hpp"
-#include "client/stop_sender.hpp"
+#include "client/sending/departure.hpp"
+#include "client/sending/message_sender.hpp"
+#include "client/sending/stop_sender.hpp"
 #include "common/snapshot.hpp"
 
 namespace axon::client {

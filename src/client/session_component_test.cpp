@@ -13,15 +13,15 @@
 #include <future>
 #include <thread>
 
-#include "entity_manager/entity_manager_core.hpp"
-#include "entity_manager/file_storage.hpp"
+#include "entity_manager/core/entity_manager_core.hpp"
+#include "entity_manager/storage/file_storage.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
 #include "support/tcp_valve.hpp"
-#include "transport/communicator.hpp"
-#include "transport/contract.hpp"
-#include "transport/convert.hpp"
-#include "transport/timer_thread.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/contract.hpp"
+#include "transport/ice/convert.hpp"
+#include "transport/ice/timer_thread.hpp"
 
 namespace axon::client::test {
 namespace {

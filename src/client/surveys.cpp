@@ -7,8 +7,8 @@
 #include <map>
 #include <utility>
 
-#include "client/content.hpp"
-#include "client/durations.hpp"
+#include "client/base/durations.hpp"
+#include "client/core/content.hpp"
 #include "client/session.hpp"
 
 namespace axon::client {

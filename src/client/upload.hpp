@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "axon/client.hpp"
-#include "client/session_observer.hpp"
+#include "client/base/session_observer.hpp"
 #include "common/refusal.hpp"
 #include "common/result.hpp"
 

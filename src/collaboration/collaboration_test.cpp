@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What is wrong with a request before anybody is asked. How runs go: entity_manager/collaborations_test.cpp.
+// What is wrong with a request before anybody is asked. How runs go:
+// entity_manager/core/collaboration/collaborations_test.cpp.
 #include "collaboration/collaboration.hpp"
 
 #include <gtest/gtest.h>

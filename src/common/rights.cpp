@@ -98,7 +98,7 @@ std::string rightsPage() {
         "Entity Manager sees that the message is the one that its `msgType` names, and refuses it otherwise "
         "(`MALFORMED`). This page is\n"
         "made from the table, and it is tested with all kinds of senders: in "
-        "`src/entity_manager/rights_test.cpp`, and in `tests/hostile`\n"
+        "`src/entity_manager/core/rights_test.cpp`, and in `tests/hostile`\n"
         "with real sessions.\n\n"
         "An observer, an operator and an administrator are clients that do not hold the entity; a holder is "
         "an operator that does. An\n"

@@ -11,9 +11,9 @@
 #include <set>
 #include <stdexcept>
 
-#include "transport/endpoint.hpp"
-#include "transport/routed_session.hpp"
-#include "transport/tls.hpp"
+#include "transport/ice/endpoint.hpp"
+#include "transport/ice/tls.hpp"
+#include "transport/sessions/routed_session.hpp"
 
 namespace axon::entity_manager {
 

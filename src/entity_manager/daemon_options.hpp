@@ -5,11 +5,11 @@
 #include <optional>
 #include <string>
 
-#include "entity_manager/back_end_interface.hpp"
-#include "entity_manager/core_settings.hpp"
-#include "entity_manager/datagram_desk.hpp"
-#include "entity_manager/direct_door.hpp"
-#include "entity_manager/entity_communicator.hpp"
+#include "entity_manager/links/back_end/back_end_interface.hpp"
+#include "entity_manager/links/datagrams/datagram_desk.hpp"
+#include "entity_manager/links/direct/direct_door.hpp"
+#include "entity_manager/links/server/entity_communicator.hpp"
+#include "entity_manager/ports/core_settings.hpp"
 
 namespace axon::entity_manager {
 

@@ -10,8 +10,8 @@
 #include <future>
 #include <utility>
 
-#include "entity_manager/caller_first.hpp"
 #include "entity_manager/identity.hpp"
+#include "entity_manager/strand/caller_first.hpp"
 
 namespace axon::entity_manager {
 

@@ -10,15 +10,15 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
-#include "entity_manager/back_end_interface.hpp"
-#include "entity_manager/caller_first.hpp"
-#include "entity_manager/datagram_desk.hpp"
-#include "entity_manager/direct_desk.hpp"
-#include "entity_manager/direct_door.hpp"
-#include "entity_manager/due_timer.hpp"
-#include "entity_manager/entity_communicator.hpp"
-#include "entity_manager/entity_manager_core.hpp"
-#include "entity_manager/inbox.hpp"
+#include "entity_manager/core/entity_manager_core.hpp"
+#include "entity_manager/links/back_end/back_end_interface.hpp"
+#include "entity_manager/links/datagrams/datagram_desk.hpp"
+#include "entity_manager/links/direct/direct_desk.hpp"
+#include "entity_manager/links/direct/direct_door.hpp"
+#include "entity_manager/links/server/entity_communicator.hpp"
+#include "entity_manager/strand/caller_first.hpp"
+#include "entity_manager/strand/due_timer.hpp"
+#include "entity_manager/strand/inbox.hpp"
 
 namespace axon::entity_manager {
 

@@ -3,7 +3,7 @@
 
 #include <stdexcept>
 
-#include "transport/bound_uuid.hpp"
+#include "transport/ice/bound_uuid.hpp"
 
 namespace axon::entity_manager {
 namespace {

@@ -3,12 +3,12 @@
 #include <string>
 
 #include "common/ids.hpp"
-#include "entity_manager/ports.hpp"
+#include "entity_manager/ports/ports.hpp"
 
 namespace axon::entity_manager {
 
-/// What proves to a server that this process may register its UUID (transport/bound_uuid.hpp). `secret` is
-/// empty for a UUID of an earlier release, which is not bound.
+/// What proves to a server that this process may register its UUID (transport/ice/bound_uuid.hpp). `secret`
+/// is empty for a UUID of an earlier release, which is not bound.
 struct Identity {
     std::string secret;
     std::string uuid;  ///< for a state folder that has none yet

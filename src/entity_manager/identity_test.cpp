@@ -7,7 +7,7 @@
 #include <stdexcept>
 
 #include "tests/support/core_rig.hpp"
-#include "transport/bound_uuid.hpp"
+#include "transport/ice/bound_uuid.hpp"
 
 namespace axon::entity_manager {
 namespace {

@@ -10,14 +10,14 @@
 #include "common/shared_clock.hpp"
 #include "entity_manager/daemon_options.hpp"
 #include "entity_manager/entity_manager.hpp"
-#include "entity_manager/file_journal.hpp"
-#include "entity_manager/file_storage.hpp"
-#include "entity_manager/server_communicators.hpp"
-#include "transport/communicator.hpp"
-#include "transport/descriptor_limit.hpp"
-#include "transport/logging.hpp"
-#include "transport/memory_lock.hpp"
-#include "transport/routed_session.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
+#include "entity_manager/storage/file_journal.hpp"
+#include "entity_manager/storage/file_storage.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/process/descriptor_limit.hpp"
+#include "transport/process/logging.hpp"
+#include "transport/process/memory_lock.hpp"
+#include "transport/sessions/routed_session.hpp"
 
 int main(int argc, char** argv) {
     using namespace axon;

@@ -9,7 +9,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "entity_server/entity_server_core.hpp"
-#include "transport/connection_limits.hpp"
+#include "transport/ice/connection_limits.hpp"
 
 namespace Ice {
 class Communicator;

@@ -6,8 +6,8 @@
 #include <utility>
 
 #include "common/queue_share.hpp"
-#include "transport/bound_uuid.hpp"
-#include "transport/communicator.hpp"
+#include "transport/ice/bound_uuid.hpp"
+#include "transport/ice/communicator.hpp"
 
 namespace axon::entity_server {
 

@@ -8,10 +8,10 @@
 
 #include "entity_server/entity_server_core.hpp"
 #include "entity_server/ports.hpp"
-#include "transport/callback_sender.hpp"
-#include "transport/lane_session.hpp"
-#include "transport/router_servants.hpp"
-#include "transport/topic_publisher.hpp"
+#include "transport/outbox/callback_sender.hpp"
+#include "transport/sessions/lane_session.hpp"
+#include "transport/sessions/router_servants.hpp"
+#include "transport/topics/topic_publisher.hpp"
 
 // The rim of the entity server: Ice's calls in, EntityServerCore's effects out. No decisions are made here
 // but whether a call came over the right connection.

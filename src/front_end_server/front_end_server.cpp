@@ -2,9 +2,9 @@
 #include "front_end_server/front_end_server.hpp"
 
 #include "front_end_server/servants.hpp"
-#include "transport/adapter.hpp"
-#include "transport/timer_thread.hpp"
-#include "transport/topic_adapters.hpp"
+#include "transport/ice/adapter.hpp"
+#include "transport/ice/timer_thread.hpp"
+#include "transport/topics/topic_adapters.hpp"
 
 namespace axon::front_end_server {
 

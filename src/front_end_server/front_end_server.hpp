@@ -8,7 +8,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "front_end_server/front_end_core.hpp"
-#include "transport/connection_limits.hpp"
+#include "transport/ice/connection_limits.hpp"
 
 namespace Ice {
 class Communicator;

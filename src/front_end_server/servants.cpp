@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "common/queue_share.hpp"
-#include "transport/communicator.hpp"
+#include "transport/ice/communicator.hpp"
 
 namespace axon::front_end_server {
 

@@ -8,10 +8,10 @@
 
 #include "front_end_server/front_end_core.hpp"
 #include "front_end_server/ports.hpp"
-#include "transport/callback_sender.hpp"
-#include "transport/lane_session.hpp"
-#include "transport/router_servants.hpp"
-#include "transport/topic_publisher.hpp"
+#include "transport/outbox/callback_sender.hpp"
+#include "transport/sessions/lane_session.hpp"
+#include "transport/sessions/router_servants.hpp"
+#include "transport/topics/topic_publisher.hpp"
 
 // The rim of the front-end server: Ice's calls in, FrontEndCore's effects out. No decisions are made here but
 // whether a call came over the right connection.

@@ -13,7 +13,7 @@
 #include "common/clock.hpp"
 #include "server/login_guard.hpp"
 #include "server/users.hpp"
-#include "transport/login.hpp"
+#include "transport/ice/login.hpp"
 
 namespace axon::server {
 

@@ -8,9 +8,9 @@
 
 #include "server/options.hpp"
 #include "server/server.hpp"
-#include "transport/descriptor_limit.hpp"
-#include "transport/logging.hpp"
-#include "transport/memory_lock.hpp"
+#include "transport/process/descriptor_limit.hpp"
+#include "transport/process/logging.hpp"
+#include "transport/process/memory_lock.hpp"
 
 int main(int argc, char** argv) {
     // Before any thread exists, so that all inherit it: these signals are waited for below.

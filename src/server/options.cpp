@@ -12,8 +12,8 @@
 
 #include "server/users.hpp"
 #include "server/version.hpp"
-#include "transport/endpoint.hpp"
-#include "transport/properties.hpp"
+#include "transport/ice/endpoint.hpp"
+#include "transport/ice/properties.hpp"
 
 namespace axon::server {
 namespace {

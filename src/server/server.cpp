@@ -17,12 +17,12 @@
 #include "global_services/services_folder.hpp"
 #include "host/socket_owner.hpp"
 #include "server/login_desk.hpp"
-#include "transport/communicator.hpp"
-#include "transport/connection_limits.hpp"
-#include "transport/endpoint.hpp"
-#include "transport/storm_topics.hpp"
-#include "transport/timer_thread.hpp"
-#include "transport/tls.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/connection_limits.hpp"
+#include "transport/ice/endpoint.hpp"
+#include "transport/ice/timer_thread.hpp"
+#include "transport/ice/tls.hpp"
+#include "transport/topics/storm_topics.hpp"
 
 namespace axon::server {
 

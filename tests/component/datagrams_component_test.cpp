@@ -8,12 +8,12 @@
 #include <asio/thread_pool.hpp>
 #include <axon/client.hpp>
 
-#include "client/datagram_sender.hpp"
+#include "client/connection/datagram_sender.hpp"
 #include "component/memory_robot.hpp"
 #include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
 #include "entity_manager/entity_manager.hpp"
-#include "entity_manager/server_communicators.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
 

@@ -14,7 +14,7 @@
 #include "component/raw_peers.hpp"
 #include "direct/proof.hpp"
 #include "entity_manager/entity_manager.hpp"
-#include "entity_manager/server_communicators.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
 #include "support/tcp_valve.hpp"

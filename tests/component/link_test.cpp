@@ -27,7 +27,7 @@
 
 #include "common/ids.hpp"
 #include "entity_interfacer/frame.hpp"
-#include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/links/back_end/back_end_interface.hpp"
 #include "support/loopback.hpp"
 
 namespace axon {

@@ -12,8 +12,8 @@
 
 #include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
-#include "entity_manager/entity_communicator.hpp"
-#include "entity_manager/server_communicators.hpp"
+#include "entity_manager/links/server/entity_communicator.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
 
 namespace axon::test {
 namespace {

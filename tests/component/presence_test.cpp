@@ -14,7 +14,7 @@
 
 #include "client/axon/client.hpp"
 #include "component/memory_robot.hpp"
-#include "entity_manager/server_communicators.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
 #include "server/server.hpp"
 #include "support/log_lines.hpp"
 #include "support/loopback.hpp"

@@ -13,10 +13,10 @@
 #include <string_view>
 #include <vector>
 
-#include "transport/communicator.hpp"
-#include "transport/contract.hpp"
-#include "transport/convert.hpp"
-#include "transport/routed_session.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/contract.hpp"
+#include "transport/ice/convert.hpp"
+#include "transport/sessions/routed_session.hpp"
 
 namespace axon::test {
 

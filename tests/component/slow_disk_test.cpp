@@ -18,9 +18,9 @@
 #include <thread>
 
 #include "entity_manager/entity_manager.hpp"
-#include "entity_manager/file_journal.hpp"
-#include "entity_manager/file_storage.hpp"
-#include "entity_manager/server_communicators.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
+#include "entity_manager/storage/file_journal.hpp"
+#include "entity_manager/storage/file_storage.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
 #include "support/slow_disk.hpp"

@@ -20,11 +20,11 @@
 #include "claim.hpp"
 #include "direct/always_relayed.hpp"
 #include "direct/proof.hpp"
-#include "entity_manager/direct_desk.hpp"
-#include "entity_manager/direct_door.hpp"
-#include "entity_manager/server_communicators.hpp"
-#include "transport/communicator.hpp"
-#include "transport/convert.hpp"
+#include "entity_manager/links/direct/direct_desk.hpp"
+#include "entity_manager/links/direct/direct_door.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/convert.hpp"
 
 namespace {
 

@@ -11,7 +11,7 @@
 
 #include "claim.hpp"
 #include "common/ids.hpp"
-#include "entity_manager/file_journal.hpp"
+#include "entity_manager/storage/file_journal.hpp"
 
 namespace {
 

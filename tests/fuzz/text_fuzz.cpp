@@ -5,8 +5,8 @@
 #include <string_view>
 
 #include "claim.hpp"
-#include "client/entity_query.hpp"
-#include "client/session_core.hpp"
+#include "client/core/entity_query.hpp"
+#include "client/core/session_core.hpp"
 #include "host/port_range.hpp"
 
 namespace {

@@ -8,7 +8,7 @@
 #include <string>
 
 #include "claim.hpp"
-#include "client/test_environment.hpp"
+#include "client/testing/test_environment.hpp"
 
 namespace {
 

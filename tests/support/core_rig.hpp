@@ -12,7 +12,7 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core/entity_manager_core.hpp"
 
 namespace axon::test {
 

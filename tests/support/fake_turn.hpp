@@ -9,10 +9,10 @@
 #include <utility>
 #include <vector>
 
-#include "entity_manager/core_settings.hpp"
-#include "entity_manager/incident.hpp"
-#include "entity_manager/journal_record.hpp"
-#include "entity_manager/turn.hpp"
+#include "entity_manager/core/turn/incident.hpp"
+#include "entity_manager/core/turn/turn.hpp"
+#include "entity_manager/ports/core_settings.hpp"
+#include "entity_manager/ports/journal_record.hpp"
 
 namespace axon::test {
 

@@ -6,7 +6,7 @@
 #include <cstring>
 #include <filesystem>
 
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 
 // axon bench: the program axon-bench beside this one, with the same words
 namespace axon::cli {

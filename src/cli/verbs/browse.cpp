@@ -3,7 +3,7 @@
 #include <tuple>
 
 #include "cli/arguments.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 
 // axon ls, axon info

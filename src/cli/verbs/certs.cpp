@@ -2,7 +2,7 @@
 #include <chrono>
 
 #include "certificates/folder.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 
 // axon certs

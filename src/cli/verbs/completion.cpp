@@ -9,7 +9,7 @@
 #include <thread>
 
 #include "cli/arguments.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 
 // axon completion, axon __complete

@@ -15,8 +15,8 @@
 
 #include "cli/agent_link.hpp"
 #include "cli/distribution.hpp"
+#include "cli/holding.hpp"
 #include "cli/verbs/doctor_report.hpp"
-#include "cli/verbs/holding.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
 #include "common/rate_limit.hpp"

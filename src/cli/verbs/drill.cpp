@@ -3,7 +3,7 @@
 #include <map>
 
 #include "cli/distribution.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "common/rate_limit.hpp"
 

@@ -6,7 +6,7 @@
 #include <thread>
 
 #include "cli/arguments.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/text.hpp"
 

@@ -5,7 +5,7 @@
 #include <set>
 
 #include "cli/arguments.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 
 // axon global ls, info, stop, pause, resume, cancel, history

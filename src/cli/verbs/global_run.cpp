@@ -4,8 +4,8 @@
 #include <set>
 #include <thread>
 
+#include "cli/holding.hpp"
 #include "cli/verbs/global.hpp"
-#include "cli/verbs/holding.hpp"
 #include "cli/words.hpp"
 
 // axon global run, axon global check

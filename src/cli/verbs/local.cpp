@@ -4,7 +4,7 @@
 #include <iostream>
 
 #include "cli/agent_link.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/profile_command.hpp"
 

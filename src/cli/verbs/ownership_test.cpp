@@ -10,9 +10,9 @@
 
 #include "cli/command_line.hpp"
 #include "cli/fake_station.hpp"
+#include "cli/holding.hpp"
 #include "cli/invoker.hpp"
 #include "cli/password.hpp"
-#include "cli/verbs/holding.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
 #include "support/loopback.hpp"

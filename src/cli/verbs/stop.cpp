@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <algorithm>
 
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/text.hpp"
 

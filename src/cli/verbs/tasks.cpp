@@ -4,7 +4,7 @@
 #include <set>
 #include <utility>
 
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/text.hpp"
 

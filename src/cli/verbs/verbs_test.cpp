@@ -7,7 +7,7 @@
 #include <thread>
 
 #include "cli/fake_station.hpp"
-#include "cli/verbs/holding.hpp"
+#include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "support/loopback.hpp"
 

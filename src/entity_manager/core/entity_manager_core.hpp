@@ -1,0 +1,296 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <axon/link.pb.h>
+#include <axon/messages.pb.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "common/rate_limit.hpp"
+#include "common/rights.hpp"
+#include "common/routed.hpp"
+#include "entity_manager/core/collaboration/teamwork.hpp"
+#include "entity_manager/core/inputs/inputs.hpp"
+#include "entity_manager/core/ownership/ownership.hpp"
+#include "entity_manager/core/presence/presence.hpp"
+#include "entity_manager/core/presence/profiles.hpp"
+#include "entity_manager/core/services/service_profiler.hpp"
+#include "entity_manager/core/services/task_memory.hpp"
+#include "entity_manager/core/stops/stop_ledger.hpp"
+#include "entity_manager/core/streams/streams.hpp"
+#include "entity_manager/core/tasks/tasks.hpp"
+#include "entity_manager/core/turn/incident.hpp"
+#include "entity_manager/core/turn/lease_book.hpp"
+#include "entity_manager/core/turn/state_table.hpp"
+#include "entity_manager/core/turn/turn.hpp"
+#include "entity_manager/ports/core_settings.hpp"
+#include "entity_manager/ports/ports.hpp"
+#include "entity_manager/ports/stop_counter.hpp"
+
+namespace axon::entity_manager {
+
+/// The Entity Manager without its sockets: states, latch, profiler, lease, queue (ADR 0007,
+/// docs/design/state-machine.md).
+///
+/// Where in the flow: between the entity server (ServerPort) and the robot application's Entity Interfacer
+/// (BackEndPort). An event goes in as one call of on…(); effects leave through the ports before the call
+/// returns. States: the nine of EntityState plus the latch flag; the table is state_table.hpp. Threads: one
+/// strand only. What may be called from elsewhere is StopCounter and BackEndPort::stop. Failure: an event
+/// that the table does not list for the present state is refused with WRONG_STATE to whoever sent it;
+/// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
+///
+/// It finds the row of each event in the state table and passes each action on to whichever part of the state
+/// it is about (actions.def); the parts see each other through Turn alone.
+class EntityManagerCore final : private Turn {
+  public:
+    /// Without a journal a task id is known for this life only.
+    EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
+                      BackEndPort& back_end, ServerPort& server, Storage& storage, ResourceStore& resources,
+                      StopCounter& stop_counter, Journal* journal = nullptr);
+    EntityManagerCore(const EntityManagerCore&) = delete;
+    EntityManagerCore& operator=(const EntityManagerCore&) = delete;
+
+    /// From now on it wants a session with the server, whatever becomes of the robot application: until that
+    /// has uploaded valid profiles the entity is registered there as one that is not ready (ADR 0023).
+    void start();
+
+    // From the link to the robot application.
+    void onLinkUp();
+    /// It has been looked for in vain: what was found instead, for whoever asks why the entity is UNAV.
+    void onApplicationSought(const std::string& finding);
+    void onLinkDown(const std::string& reason, LinkEnd end = LinkEnd::Closed);
+    void onLinkMessage(const proto::EiToEm& message);
+    /// The same without a copy of bulk data; the message is left in some valid state.
+    void onLinkMessage(proto::EiToEm&& message) { hear(message); }
+
+    // From the server. `bytes` is an axon.proto.ToEntity.
+    void onServerUp();
+    void onServerDown(const std::string& reason);
+    /// Or from another entity, whose UUID is head.sender.id then.
+    void onClientMsg(const Header& head, std::string_view bytes);
+    /// What was sent to another entity (ServerPort::sendToPeer) did not arrive; `head` is that of the
+    /// message.
+    void onPeerRefusal(const Header& head, const Refusal& refusal);
+    /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopCounter.
+    void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
+    /// Likewise a drill, under `number` of StopCounter::drill. It measures the way of a stop and changes
+    /// nothing.
+    void onDrill(const Header& head, std::uint32_t number);
+    /// A stop that has been seen before, under `generation`: its receipt is told again.
+    void onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation);
+    void onResetSignal(const Header& head) { onSignal(Event::Reset, head); }
+    void onClearSignal(const Header& head) { onSignal(Event::Clear, head); }
+    void onClientUpdate(const Header& head, ClientChange change);
+    void onServerHeartbeat() { presence_.heard(); }
+
+    /// Re-reads nothing, changes nothing but what is due: watchdog, reservations, grace, places, not_after.
+    /// Call at nextDeadline().
+    void onTimer();
+    TimePoint nextDeadline() const;
+
+    /// ResourceStore::onAnswer() or Journal::onAnswer() has called.
+    void onStored();
+
+    /// Where the holder may send stops as datagrams (docs/reference/datagrams.md); told with each grant from
+    /// now on.
+    void offerDatagrams(std::string endpoint) { ownership_.offerDatagrams(std::move(endpoint)); }
+    /// Where the holder may open a direct path (docs/reference/direct.md): "host:port" of each lane, both
+    /// empty = nowhere; told with each grant from now on.
+    void offerDirect(std::string data, std::string signal) {
+        ownership_.offerDirect(std::move(data), std::move(signal));
+    }
+
+    /// The operator of the daemon wants it to end: stop, tell the server, leave.
+    void shutDown();
+
+    EntityState state() const override { return state_; }
+    bool latched() const override { return latched_; }
+    /// Whether it counts on a session with the server; a silent one it has given up.
+    bool serverUp() const { return presence_.connected(); }
+    const std::string& uuid() const { return uuid_; }
+    /// The present lease; null when nobody holds the entity.
+    const LeaseBook::Held* held() const override {
+        return ownership_.lease().held() ? &*ownership_.lease().held() : nullptr;
+    }
+    EntityStatus status() const;
+    const CoreCounters& counters() const { return counters_; }
+    /// Something for the operator's log: the server has been silent for a good part of what its watchdog
+    /// allows. Once a minute at most; empty otherwise. Look after onTimer().
+    std::string takeWarning() { return std::exchange(warning_, {}); }
+    /// Likewise, of what is as it should be.
+    std::string takeNews() { return std::exchange(news_, {}); }
+
+  private:
+    /// From the link; the message is left in some valid state.
+    void hear(proto::EiToEm& message);
+    void onSignal(Event event, const Header& head);
+
+    // Rows.
+    void process(Event event, Who who, const Header& head, proto::ToEntity* body);
+    void fire(Incident& incident) override;
+    using Turn::fire;
+    void perform(Action action, Incident& incident);
+    void latch(const Incident& incident);
+    void unlatch(const Incident& incident);
+    void sendGrant(const Incident& incident);
+    void noteWatch(const Incident& incident);
+    Refusal guard(Event event, Who who, const Header& head) const;
+    void settle();
+    /// In this order time passes for them: first whether there is a server at all, then who holds the entity.
+    template <class Use>
+    static void eachOwner(auto& core, Use use) {
+        use(core.presence_), use(core.ownership_), use(core.inputs_), use(core.tasks_), use(core.teamwork_),
+            use(core.profiles_);
+    }
+
+    // The journal.
+    void replayJournal();
+    bool note(JournalRecord record) override;
+    Later<bool> noteDispatch(JournalRecord record) override;
+    void complete(JournalRecord& record) const;
+    bool recorded(bool written) override;
+    /// In the storage: the latch, and whether somebody holds the robot.
+    void keepState();
+    void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) override;
+
+    // States, profiles, server.
+    void profilesAreGood(const proto::BasicProfile& basic) override;
+    void tellServices(const std::vector<int>& services) override;
+    void seekServer();
+    /// A lease that outlived the session with the server is found again.
+    Event serverUpEvent() const {
+        return held() != nullptr && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
+    }
+    std::string whyNotReady() const;
+    void tellStatus() override;
+    void serverLost(const std::string& reason) override;
+
+    // Stop.
+    void stopApplication(Incident& incident);
+    void acknowledge(const Incident& incident);
+    void deliverStops();
+
+    // Who holds it.
+    void granted(Incident& granted) override;
+
+    // What the owners see of it.
+    bool connected() const override { return presence_.connected(); }
+    CoreCounters& count() override { return counters_; }
+    TimePoint now() const override { return clock_.now(); }
+    bool linked() const override { return link_up_; }
+    bool toApplication(const proto::EmToEi& message) override { return back_end_.send(message); }
+    void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) override {
+        server_.sendToClientDataSeq(headFor(to, type), message);
+    }
+    void tellPeer(Lane lane, const std::string& entity, const char* type,
+                  const proto::ToEntity& message) override;
+    void warn(std::string text) override { warning_ = std::move(text); }
+    void tellNews(std::string text) override { news_ = std::move(text); }
+    void notReady(std::string why) override { reason_ = std::move(why); }
+    void lookAgain() override { profiles_.lookAgain(); }
+    void takeKeptProfiles() override { profiles_.takeKept(); }
+    Stops stops() const override {
+        return {stops_.generation(), stops_.required(), stops_.allHandled(), stops_.standing()};
+    }
+    Refusal checkGeneration(std::int32_t seen) const override { return stops_.whyNot(seen); }
+    Refusal checkLease(const Sender& sender, LeaseNumber under) const override {
+        return ownership_.lease().check(sender, under);
+    }
+    Sender self() const override { return {uuid_, presence_.name(), Role::Operator}; }
+    bool hasTasks() const override { return tasks_.begun() + tasks_.waiting() > 0; }
+    Refusal admitStep(const proto::TaskRequest& request) override { return tasks_.admit(request, 0); }
+    bool takesPart() const override { return teamwork_.takesPart(); }
+    bool isReserved() const override { return teamwork_.isReserved(); }
+    bool tellStep(proto::TaskEvent& event) override { return teamwork_.tellStep(event); }
+    void removeResource(const std::string& service, const std::string& resource) override {
+        inputs_.remove(service, resource);
+    }
+    Refusal leavesRoom(int service, const proto::Param& param) const override {
+        return tasks_.leavesRoom(service, param);
+    }
+    void reconfigure(int service, const proto::Param& param) override { tasks_.reconfigure(service, param); }
+    bool finishesAlone() const override { return tasks_.finishesAlone(); }
+    void loseHolder(Incident& lost) override;
+    void endSpared(const std::string& why) override { tasks_.endSpared(why); }
+    void controlTask(const Incident& incident) override;
+
+    // Messages.
+    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override;
+    using Turn::tell;
+    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal, Lane lane);
+    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal) override {
+        reply(to, request_id, refusal, Lane::Data);
+    }
+    void refuse(const Incident& incident, const Refusal& refusal) override;
+    void refuseRaw(const Sender& to, const Refusal& refusal);
+    void passText(const Incident& incident);
+    void passRaw(const Incident& incident);
+    void answerStatus(const Incident& incident);
+    Header headFor(const Sender& to, const char* type);
+
+    const EntityManagerCoreSettings settings_;
+    const Clock& clock_;
+    BackEndPort& back_end_;
+    ServerPort& server_;
+    Storage& storage_;
+    Journal* const journal_;  ///< null = none is kept
+    const bool parts_lost_;   ///< of the state; before the others, which write theirs
+    std::string uuid_;
+
+    EntityState state_ = EntityState::UNAV;
+    EntityState previous_ = EntityState::REG;  ///< where BUSY returns to
+    bool latched_ = false;
+    bool latch_kept_ = false;  ///< as the storage has it
+    bool free_kept_ = false;   ///< likewise; false before anybody is granted the robot
+    bool journal_failing_ = false;
+    bool link_up_ = false;
+    bool quit_ = false;
+    std::string reason_;
+    std::string sought_;  ///< in UNAV: what the search for the application has found instead
+
+    std::string warning_, news_;
+
+    Presence presence_;
+    Ownership ownership_;
+    StopLedger stops_;
+
+    ServiceProfiler profiler_;
+    TaskMemory memory_;
+    Tasks tasks_;
+    Profiles profiles_;
+    Teamwork teamwork_;
+    Inputs inputs_;
+    Streams streams_{*this};
+    TimePoint raw_refused_{};
+
+    /// The resets and clears that were taken last. Between servers each goes two ways, and the second one,
+    /// late, would end the next task.
+    struct PassedSignals {
+        bool seen(const Header& head) {
+            if (head.sequence <= 0) return false;
+            const std::pair key{head.sender.id, head.sequence};
+            if (std::find(recent.begin(), recent.end(), key) != recent.end()) return true;
+            recent[next++ % recent.size()] = key;
+            return false;
+        }
+        std::array<std::pair<std::string, std::int64_t>, 32> recent;
+        std::size_t next = 0;
+    };
+    PassedSignals passed_;
+
+    std::int64_t sequence_ = 0;
+    proto::ToEntity from_client_;  ///< kept for its memory
+    proto::EmToEi raw_to_link_;
+    proto::ToClient raw_to_client_;
+    CoreCounters counters_;
+    RateLimit refusals_noted_{10};
+};
+
+}  // namespace axon::entity_manager

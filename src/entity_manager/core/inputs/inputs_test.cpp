@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Values that the robot application is asked for, without the rest of the Entity Manager. What they mean for
+// tasks is claimed in tasks_test.cpp and composite_tasks_test.cpp.
+#include "entity_manager/core/inputs/inputs.hpp"
+
+#include <gtest/gtest.h>
+
+#include "messages/values.hpp"
+#include "tests/support/core_rig.hpp"
+#include "tests/support/fake_turn.hpp"
+
+namespace axon::entity_manager {
+namespace {
+
+using namespace std::chrono_literals;
+
+proto::ServicesProfile profileOfDriving() {
+    proto::ServicesProfile profile;
+    auto& service = *profile.add_services();
+    service.set_name("Driving");
+    for (const auto type : {proto::INPUT, proto::CONFIG}) {
+        auto& param = *service.add_params();
+        param.set_name(type == proto::CONFIG ? "Limit" : "Distance");
+        param.set_type(type);
+        param.set_data_type(proto::INT);
+    }
+    return profile;
+}
+
+struct TheInputs : testing::Test {
+    TheInputs() {
+        profiler.load(profileOfDriving(), "self", {});
+        turn.lease.emplace();
+        turn.lease->number = {1, 1};
+        turn.lease->holder.id = "client";
+    }
+    void set(const std::string& name, int value) {
+        Header head;
+        head.sender.id = "client";
+        head.held = {1, 1};
+        proto::ToEntity body;
+        auto& request = *body.mutable_set_param();
+        request.set_request_id("r");
+        request.set_service("Driving");
+        request.mutable_param()->set_name(name);
+        request.mutable_param()->add_values()->set_int_(value);
+        inputs.askParameter({Event::SetParam, &head, &body});
+    }
+    std::uint64_t asked() const { return turn.to_application.back().param().request(); }
+    void answer(RefusalCode code = RefusalCode::Ok) {
+        proto::RequestAnswer said;
+        said.set_request(asked());
+        if (code != RefusalCode::Ok) *said.mutable_refusal() = toProto(Refusal{code, "no", {}});
+        inputs.answered(said);
+    }
+    std::int64_t valueOf(int param) const {
+        const auto& initial = profiler.record(0).params(param).initial();
+        return initial.empty() ? 0 : initial[0].int_();
+    }
+
+    test::MemoryStorage storage;
+    test::MemoryResources store;
+    test::FakeTurn turn;
+    ServiceProfiler profiler;
+    Inputs inputs{turn, storage, store, profiler, {10s, 1000, 100}};
+};
+
+TEST_F(TheInputs, AValueCountsOnceTheApplicationHasGrantedIt) {
+    set("Distance", 5);
+    ASSERT_EQ(turn.to_application.size(), 1U);
+    EXPECT_EQ(valueOf(0), 0);
+    EXPECT_TRUE(turn.replies.empty());
+    answer();
+    EXPECT_EQ(valueOf(0), 5);
+    ASSERT_EQ(turn.replies.size(), 1U);
+    EXPECT_TRUE(turn.replies[0].ok());
+    EXPECT_EQ(turn.told_services, (std::vector<std::vector<int>>{{0}}));
+    answer();
+    EXPECT_EQ(turn.counted.unexpected, 1U) << "a second answer is to nothing";
+}
+
+TEST_F(TheInputs, WhatTheApplicationDeniesOrDoesNotAnswerChangesNothing) {
+    set("Distance", 5);
+    answer(RefusalCode::Denied);
+    EXPECT_EQ(turn.replies.back().code, RefusalCode::Denied);
+
+    set("Distance", 6);
+    EXPECT_EQ(inputs.nextDeadline(), turn.now() + 10s);
+    turn.clock.advance(10s);
+    inputs.onTimer();
+    EXPECT_EQ(turn.replies.back().code, RefusalCode::TimedOut);
+    EXPECT_EQ(inputs.nextDeadline(), TimePoint::max());
+
+    set("Distance", 7);
+    inputs.abandon({RefusalCode::Unavailable, "", {}});
+    EXPECT_EQ(turn.replies.back().code, RefusalCode::Unavailable);
+    answer();
+    EXPECT_EQ(valueOf(0), 0);
+}
+
+TEST_F(TheInputs, AValueForALeaseThatHasEndedIsNotKeptForTheNext) {
+    set("Distance", 5);
+    turn.lease->number = {1, 2};
+    answer();
+    EXPECT_EQ(turn.replies.back().code, RefusalCode::RevokedLease);
+    EXPECT_EQ(valueOf(0), 0);
+}
+
+TEST_F(TheInputs, AConfigurationReachesTheTasksUnlessItIsFromBeforeAStopOrDoesNotFit) {
+    set("Limit", 5);
+    answer();
+    ASSERT_EQ(turn.reconfigured.size(), 1U);
+    EXPECT_EQ(turn.reconfigured[0].name(), "Limit");
+
+    set("Limit", 6);
+    turn.stopped.required = turn.stopped.generation = 1;
+    answer();
+    EXPECT_EQ(turn.replies.back().code, RefusalCode::OldGeneration);
+
+    set("Limit", 7);
+    turn.room = {RefusalCode::TooLarge, "", {}};
+    answer();
+    EXPECT_EQ(turn.replies.back().code, RefusalCode::TooLarge);
+    EXPECT_EQ(turn.reconfigured.size(), 1U);
+    EXPECT_EQ(valueOf(1), 5);
+}
+
+TEST_F(TheInputs, TheApplicationIsAskedABoundedNumberOfThingsAtATime) {
+    for (int i = 0; i < 64; ++i) set("Distance", i);
+    EXPECT_TRUE(turn.refused.empty());
+    set("Distance", 64);
+    ASSERT_EQ(turn.refused.size(), 1U);
+    EXPECT_EQ(turn.refused[0].code, RefusalCode::Overloaded);
+}
+
+}  // namespace
+}  // namespace axon::entity_manager

@@ -1,0 +1,397 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/links/direct/direct_door.hpp"
+
+#include <Ice/Ice.h>
+#include <axon/directcomm.h>
+#include <spdlog/spdlog.h>
+
+#include <deque>
+#include <mutex>
+#include <stdexcept>
+#include <utility>
+
+#include "common/rate_limit.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
+#include "transport/ice/adapter.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/direct_head.hpp"
+#include "transport/ice/lane_socket.hpp"
+#include "transport/ice/peer_connection.hpp"
+#include "transport/outbox/outbox.hpp"
+#include "transport/sessions/session_peers.hpp"
+
+namespace axon::entity_manager {
+namespace {
+
+namespace slice = ::Axon::DirectComm;
+using direct::Keeping;
+using transport::ByteRange;
+using transport::SendCallbacks;
+using transport::Traffic;
+
+constexpr const char* kGate = "DirectGate";
+constexpr std::size_t kHeadBytes = 64;
+/// Connections with a nonce that has not been used yet; more are strangers, and the oldest are forgotten.
+constexpr std::size_t kChallenges = 64;
+
+class IceLane final : public DirectLane {
+  public:
+    IceLane(std::shared_ptr<Ice::Connection> connection,
+            const std::shared_ptr<slice::DirectCallbackPrx>& callback)
+        : connection_(std::make_shared<transport::DirectConnection>(std::move(connection))),
+          callback_(callback),
+          outbox_(std::make_shared<transport::Outbox>(
+              transport::OutboxLimits{}, [connection = connection_](bool, const std::string& why) {
+                  connection->disconnect({false, why}, false);
+              })) {}
+
+    void send(Keeping keeping, const Header& head, std::shared_ptr<const std::string> message) override {
+        const auto bytes = kHeadBytes + message->size();
+        const bool data = keeping == Keeping::Droppable;
+        const auto call = [data](slice::DirectCallbackPrx& to, const Header& its_head, const std::string& its,
+                                 SendCallbacks&& back) {
+            const auto range = transport::toRange(its);
+            if (data)
+                to.newEntityMsgDataSeqAsync(transport::toDirectHead(its_head), range, nullptr,
+                                            std::move(back.failed), std::move(back.sent));
+            else
+                to.newEntityMsgAsync(transport::toDirectHead(its_head), range, nullptr,
+                                     std::move(back.failed), std::move(back.sent));
+        };
+        outbox_->post(
+            data ? Traffic::Data : Traffic::Control, bytes,
+            [&](SendCallbacks&& back) { call(*callback_, head, *message, std::move(back)); },
+            [&] {
+                return transport::Outbox::Parcel(
+                    [callback = callback_, call, head, message](SendCallbacks&& back) {
+                        call(*callback, head, *message, std::move(back));
+                    });
+            });
+    }
+    void beat(std::int64_t passed, bool asks) override {
+        const auto send = [callback = callback_, passed, asks](SendCallbacks&& back) {
+            callback->newHeartbeatAsync(static_cast<double>(passed), asks, nullptr, std::move(back.failed),
+                                        std::move(back.sent));
+        };
+        outbox_->post(Traffic::Heartbeat, kHeadBytes, send,
+                      [send] { return transport::Outbox::Parcel(send); });
+    }
+    void close(const std::string& why) override {
+        outbox_->close();
+        connection_->disconnect({false, why}, false);
+    }
+    std::string peer() const override { return connection_->peer(); }
+    transport::DirectConnection& connection() { return *connection_; }
+
+  private:
+    const std::shared_ptr<transport::DirectConnection> connection_;
+    const std::shared_ptr<slice::DirectCallbackPrx> callback_;  // oneway
+    const std::shared_ptr<transport::Outbox> outbox_;
+};
+
+/// One lane of one path. Who sends is what the opening proved, never an argument.
+class SessionServant final : public slice::DirectSession {
+  public:
+    SessionServant(Id128 path, Lane lane, Sender sender, std::string entity,
+                   std::shared_ptr<DirectSigns> signs, std::shared_ptr<IceLane> back, const Clock& clock,
+                   std::weak_ptr<DirectEvents> events)
+        : path_(path),
+          lane_(lane),
+          sender_(std::move(sender)),
+          entity_(std::move(entity)),
+          signs_(std::move(signs)),
+          back_(std::move(back)),
+          clock_(clock),
+          events_(std::move(events)) {}
+
+    void sendToEntity(slice::Head head, ByteRange msg, const Ice::Current& current) override {
+        pass(std::move(head), msg, Keeping::Kept, current);
+    }
+    void sendToEntityDataSeq(slice::Head head, ByteRange data, const Ice::Current& current) override {
+        pass(std::move(head), data, Keeping::Droppable, current);
+    }
+    void sendStopSignal(slice::Head head, Axon::CommUtil::StopCause ice_cause,
+                        const Ice::Current& current) override {
+        auto its = signal(std::move(head), current);
+        // What only servers may say is not taken from a client.
+        auto cause = transport::fromIce(ice_cause);
+        if (cause != StopCause::Drill) cause = StopCause::Requested;
+        if (its.sequence >= kServerSequences) its.sequence = 0;
+        // Its copy by the servers, where more are refused, is told.
+        if (cause == StopCause::Drill && !drills_.admit(clock_.now())) return;
+        if (const auto events = events_.lock()) events->directStop(std::move(its), cause);
+    }
+    void sendResetSignal(slice::Head head, const Ice::Current& current) override {
+        auto its = signal(std::move(head), current);
+        if (const auto events = events_.lock()) events->directReset(std::move(its));
+    }
+    void sendClearSignal(slice::Head head, const Ice::Current& current) override {
+        auto its = signal(std::move(head), current);
+        if (const auto events = events_.lock()) events->directClear(std::move(its));
+    }
+    void keepAlive(double received, bool busy, const Ice::Current& current) override {
+        require(Lane::Signal, current);
+        const bool faster = signs_->heard(clock_.now(), transport::whole(received), busy);
+        back_->beat(signs_->passed.load(std::memory_order_acquire), false);
+        if (const auto events = faster ? events_.lock() : nullptr) events->directPace();
+    }
+
+  private:
+    void require(Lane lane, const Ice::Current& current) {
+        back_->connection().require(current);
+        if (lane != lane_)
+            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
+                                               current.operation);
+    }
+    Header proper(slice::Head&& head, const Ice::Current& current) {
+        if (head.msgType.size() > transport::kHeadStringMax) {
+            back_->connection().disconnect({true, std::string(transport::kImproperHead)}, false);
+            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
+                                               current.operation);
+        }
+        auto its = transport::fromDirectHead(std::move(head));
+        its.sender = sender_;
+        its.entity = entity_;
+        return its;
+    }
+    Header signal(slice::Head&& head, const Ice::Current& current) {
+        require(Lane::Signal, current);
+        return proper(std::move(head), current);
+    }
+    void pass(slice::Head&& head, const ByteRange& bytes, Keeping keeping, const Ice::Current& current) {
+        require(Lane::Data, current);
+        auto its = proper(std::move(head), current);
+        if (const auto events = events_.lock())
+            events->directMsg(path_, keeping, std::move(its), std::string(transport::toView(bytes)));
+    }
+
+    const Id128 path_;
+    const Lane lane_;
+    const Sender sender_;
+    const std::string entity_;
+    const std::shared_ptr<DirectSigns> signs_;
+    const std::shared_ptr<IceLane> back_;
+    const Clock& clock_;
+    const std::weak_ptr<DirectEvents> events_;
+    RateLimit drills_{kDrillsPerSecond};
+};
+
+std::string toBytes(const Axon::CommUtil::Bytes& bytes) {
+    return {bytes.begin(), bytes.end()};
+}
+Axon::CommUtil::Bytes toIceBytes(const std::string& bytes) {
+    return {bytes.begin(), bytes.end()};
+}
+Refusal wrongState(const char* what) {
+    return {RefusalCode::WrongState, std::string("direct path: ") + what, {}};
+}
+
+/// Strangers come here: it gives nonces, reads what they say, and leaves the judgement to the strand.
+class GateServant final : public slice::DirectGate {
+  public:
+    GateServant(Lane lane, std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
+        : lane_(lane), entity_(std::move(entity)), clock_(clock), events_(std::move(events)) {}
+
+    bool hasSession(const std::string& peer) const { return sessions_->has(peer); }
+
+    Axon::CommUtil::Bytes challenge(const Ice::Current& current) override {
+        const auto nonce = Id128::random(random_);
+        const std::lock_guard lock(mutex_);
+        std::erase_if(challenges_, [&](const Challenge& one) {
+            return one.connection.lock() == current.con || one.connection.expired();
+        });
+        if (challenges_.size() >= kChallenges) challenges_.pop_front();
+        challenges_.push_back({current.con, nonce});
+        return toIceBytes(nonce.bytes());
+    }
+
+    void openAsync(slice::Opening opening, std::shared_ptr<slice::DirectCallbackPrx> callback,
+                   std::function<void(const slice::Opened&)> response,
+                   std::function<void(std::exception_ptr)> exception, const Ice::Current& current) override {
+        const auto refuse = [exception](const Refusal& refusal) {
+            exception(std::make_exception_ptr(transport::toIce(refusal)));
+        };
+        DirectOpening its;
+        its.claim.lane = transport::fromIce(opening.lane);
+        its.claim.lease = {opening.held.epoch, opening.held.number};
+        const auto client = Id128::parse(opening.client);
+        const auto path = Id128::fromBytes(toBytes(opening.path));
+        if (!client || !path || path->isZero() || !callback || its.claim.lane != lane_)
+            return refuse({RefusalCode::Malformed,
+                           "direct path: expected the session UUID of the holder, a path of 16 bytes, a "
+                           "callback, and the lane of this port",
+                           {}});
+        if (hasSession(transport::DirectConnection::peerOf(*current.con)))
+            return refuse(wrongState("expected a connection for each lane; this one has its session"));
+        const auto nonce = takeNonce(current.con);
+        if (!nonce)
+            return refuse(wrongState("expected challenge() over the same connection before each open()"));
+        its.claim.client = *client;
+        its.claim.path = *path;
+        its.claim.nonce = *nonce;
+        its.proof = toBytes(opening.proof);
+        its.refuse = refuse;
+        its.admit = [lane = lane_, path = *path, entity = entity_, &clock = clock_, events = events_,
+                     sessions = sessions_, response, current,
+                     callback = transport::callbackProxy(callback, current)](
+                        const Sender& sender, std::shared_ptr<DirectSigns> signs,
+                        std::string proof) -> std::shared_ptr<DirectLane> {
+            auto back = std::make_shared<IceLane>(current.con, callback);
+            const auto peer = back->peer();
+            sessions->add(peer);
+            if (lane == Lane::Signal) transport::prepareSignalLane(*current.con);
+            const auto session = current.adapter->addWithUUID(std::make_shared<SessionServant>(
+                path, lane, sender, entity, std::move(signs), back, clock, events));
+            back->connection().onClosed([adapter = current.adapter, identity = session->ice_getIdentity(),
+                                         path, events, sessions, peer](const transport::CloseReason& reason) {
+                sessions->remove(peer);
+                try {
+                    adapter->remove(identity);
+                } catch (const Ice::Exception&) {  // the adapter is being destroyed, and the servant with it
+                }
+                // Its holder closes it as it ends its lease or its program, so an end says nothing of the
+                // network.
+                const auto why = reason.improper ? reason.text : "its holder's end is closed";
+                if (const auto its_events = events.lock()) its_events->directClosed(path, why);
+            });
+            slice::Opened opened;
+            opened.session = Ice::uncheckedCast<slice::DirectSessionPrx>(session);
+            opened.proof = toIceBytes(proof);
+            response(opened);
+            return back;
+        };
+        if (const auto events = events_.lock()) return events->directOpening(std::move(its));
+        refuse(wrongState("the Entity Manager is ending"));
+    }
+
+  private:
+    struct Challenge {
+        std::weak_ptr<Ice::Connection> connection;
+        Id128 nonce;
+    };
+    std::optional<Id128> takeNonce(const std::shared_ptr<Ice::Connection>& connection) {
+        const std::lock_guard lock(mutex_);
+        for (auto at = challenges_.begin(); at != challenges_.end(); ++at) {
+            if (at->connection.lock() != connection) continue;
+            const auto nonce = at->nonce;
+            challenges_.erase(at);
+            return nonce;
+        }
+        return std::nullopt;
+    }
+
+    const Lane lane_;
+    const std::string entity_;
+    const Clock& clock_;
+    const std::weak_ptr<DirectEvents> events_;
+    const std::shared_ptr<transport::SessionPeers> sessions_ = std::make_shared<transport::SessionPeers>();
+    SystemRandom random_;
+    std::mutex mutex_;
+    std::deque<Challenge> challenges_;  // guarded by mutex_
+};
+
+}  // namespace
+
+struct DirectDoor::Adapters {
+    std::shared_ptr<Ice::ObjectAdapter> data, signal;
+    std::vector<std::shared_ptr<void>> watches;
+
+    ~Adapters() {
+        watches.clear();
+        for (const auto& adapter : {data, signal})
+            if (adapter) adapter->destroy();
+    }
+    /// At the first free port of the range that is not `taken`.
+    static std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator,
+                                                      const std::string& name, const std::string& address,
+                                                      DirectPorts ports, std::uint16_t taken) {
+        for (std::uint32_t port = ports.first; port <= ports.last; ++port) {
+            if (port != 0 && port == taken) continue;
+            try {
+                return transport::listen(communicator, name,
+                                         "tcp -h " + address + " -p " + std::to_string(port), 0,
+                                         transport::Idle::Watched);
+            } catch (const std::runtime_error&) {
+                if (port == 0) break;
+            }
+        }
+        throw std::runtime_error("no port to listen on at " + address +
+                                 (ports.first == 0 ? std::string()
+                                                   : ", from " + std::to_string(ports.first) + " to " +
+                                                         std::to_string(ports.last)));
+    }
+};
+
+DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports,
+                       std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
+    : adapters_(std::make_unique<Adapters>()) {
+    // A name of its own: many Entity Managers share the communicators, and this one listens anew at another
+    // address.
+    const auto name = "Direct-" + Ice::generateUUID();
+    std::uint16_t taken = 0;
+    const auto open = [&](Lane lane, Ice::Communicator& communicator,
+                          std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+        adapter = Adapters::listen(communicator, name + (lane == Lane::Data ? "-data" : "-signal"), address,
+                                   ports, taken);
+        const auto gate = std::make_shared<GateServant>(lane, entity, clock, events);
+        adapter->add(gate, Ice::stringToIdentity(kGate));
+        adapters_->watches.push_back(ice.limits().watch(
+            transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
+                return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession
+                                              : transport::ConnectionLimits::Peer::Stranger;
+            }}));
+        const auto at = transport::publishedEndpoints(*adapter).front();
+        taken = at.port;
+        return address + ":" + std::to_string(at.port);
+    };
+    data_ = open(Lane::Data, *ice.data(), adapters_->data);
+    signal_ = open(Lane::Signal, *ice.signal(), adapters_->signal);
+    adapters_->data->activate();
+    adapters_->signal->activate();
+}
+
+DirectDoor::~DirectDoor() = default;
+
+void DirectDoor::shut() {
+    adapters_->watches.clear();
+    adapters_->data->deactivate();
+    adapters_->signal->deactivate();
+}
+
+DirectDoors::DirectDoors(DirectSettings settings, std::shared_ptr<ServerCommunicators> ice,
+                         std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
+    : settings_(std::move(settings)),
+      ice_(std::move(ice)),
+      entity_(std::move(entity)),
+      clock_(clock),
+      events_(std::move(events)) {}
+
+std::pair<std::string, std::string> DirectDoors::listen(const std::string& way_to_server) {
+    const auto& address = settings_.address.empty() ? way_to_server : settings_.address;
+    if (address.empty()) return {};
+    if (listens_at_ != address) {
+        shut();
+        try {
+            doors_.push_back(
+                std::make_unique<DirectDoor>(*ice_, address, settings_.ports, entity_, clock_, events_));
+        } catch (const std::runtime_error& error) {
+            spdlog::warn(
+                "clients are not offered a direct path: {} (expected an address of this machine and two free "
+                "ports; see Axon.Direct)",
+                error.what());
+            return {};
+        }
+        listens_at_ = address;
+    }
+    const auto& door = *doors_.back();
+    if (settings_.named)
+        return {settings_.named(door.dataEndpoint()), settings_.named(door.signalEndpoint())};
+    return {door.dataEndpoint(), door.signalEndpoint()};
+}
+
+void DirectDoors::shut() {
+    if (!listens_at_.empty()) doors_.back()->shut();
+    listens_at_.clear();
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "entity_manager/ports/direct_lane.hpp"
+
+namespace axon::entity_manager {
+
+class ServerCommunicators;
+
+/// Ports for the direct path: any free ones, or those of a range, which several Entity Managers may share.
+struct DirectPorts {
+    std::uint16_t first = 0;  ///< 0: any
+    std::uint16_t last = 0;
+};
+
+/// The direct path at the Entity Manager (Axon.Direct).
+struct DirectSettings {
+    bool offered = false;
+    std::string address;  ///< to listen at; empty: the one that leads to the server
+    DirectPorts ports;
+    /// What clients are told to call instead of "host:port" where it listens: a test puts a relay there.
+    /// Empty: as it listens.
+    std::function<std::string(const std::string& endpoint)> named = {};
+};
+
+/// Where clients open direct paths: a port for each lane (docs/reference/direct.md). The only file of the
+/// direct path at the Entity Manager that knows Ice.
+///
+/// Where in the flow: beside EntityCommunicator. Threads: those of the two adapters, one each, the signal
+/// lane's under SCHED_RR where permitted; what they bring goes to `events`. Ownership: listens until shut();
+/// the destructor waits until every opening is answered and joins the threads, so it runs neither on one of
+/// them nor on the strand that answers. Failure: the constructor throws std::runtime_error with the mend
+/// where it cannot listen.
+class DirectDoor {
+  public:
+    DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity,
+               const Clock& clock, std::weak_ptr<DirectEvents> events);
+    ~DirectDoor();
+    DirectDoor(const DirectDoor&) = delete;
+    DirectDoor& operator=(const DirectDoor&) = delete;
+
+    /// Takes no connection any more, and ends those that are there. Does not wait.
+    void shut();
+    /// "192.168.0.7:41234".
+    const std::string& dataEndpoint() const { return data_; }
+    const std::string& signalEndpoint() const { return signal_; }
+
+  private:
+    struct Adapters;
+    std::unique_ptr<Adapters> adapters_;
+    std::string data_, signal_;
+};
+
+/// The doors of one Entity Manager, of which the last is open: an address that changes is rare, and an
+/// earlier one costs little. Threads: the strand's alone, but for the destructor, which must not run there
+/// (DirectDoor).
+class DirectDoors {
+  public:
+    DirectDoors(DirectSettings settings, std::shared_ptr<ServerCommunicators> ice, std::string entity,
+                const Clock& clock, std::weak_ptr<DirectEvents> events);
+
+    /// There is a session with the server: listens at the address where the way there begins, or anew where
+    /// that is another one than before. The endpoints to tell holders, data and signals; empty, with a
+    /// warning in the log, when there are none.
+    std::pair<std::string, std::string> listen(const std::string& way_to_server);
+    void shut();
+
+  private:
+    const DirectSettings settings_;
+    const std::shared_ptr<ServerCommunicators> ice_;
+    const std::string entity_;
+    const Clock& clock_;
+    const std::weak_ptr<DirectEvents> events_;
+    std::vector<std::unique_ptr<DirectDoor>> doors_;
+    std::string listens_at_;  // empty: none is open
+};
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,567 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/links/server/entity_communicator.hpp"
+
+#include <Ice/Ice.h>
+#include <axon/entitycomm.h>
+#include <axon/messages.pb.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <asio/post.hpp>
+#include <asio/steady_timer.hpp>
+#include <atomic>
+
+#include "entity_manager/links/server/server_communicators.hpp"
+#include "entity_manager/strand/due_timer.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/contract.hpp"
+#include "transport/ice/convert.hpp"
+#include "transport/ice/endpoint.hpp"
+#include "transport/ice/lane_socket.hpp"
+#include "transport/ice/peer_connection.hpp"
+#include "transport/sessions/routed_session.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+using namespace std::chrono_literals;
+namespace wire = ::Axon::CommUtil;
+using ::Axon::EntityComm::EntityCallback;
+using ::Axon::EntityComm::EntityCallbackPrx;
+using ::Axon::EntityComm::EntityGatePrx;
+using ::Axon::EntityComm::EntitySessionPrx;
+using transport::ByteRange;
+using transport::toRange;
+
+constexpr auto kFirstBackoff = 100ms;
+constexpr auto kLastBackoff = 2000ms;
+constexpr int kLoginTimeoutMs = 3000;
+constexpr std::size_t kDataInFlight = 4U << 20U;
+constexpr std::size_t kControlInFlight = 16U << 20U;
+
+/// Carries what the server pushes to the events, and nothing else. One per lane.
+class EntityCallbackServant final : public EntityCallback {
+  public:
+    EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events)
+        : lane_(lane), events_(std::move(events)) {}
+
+    void newClientMsg(wire::Header head, ByteRange msg, const Ice::Current&) override {
+        if (const auto events = events_.lock())
+            events->clientMsg(lane_, transport::fromIce(std::move(head)),
+                              std::string(transport::toView(msg)));
+    }
+    void newClientMsgDataSeq(wire::Header head, ByteRange data, const Ice::Current&) override {
+        if (const auto events = events_.lock())
+            events->clientMsgDataSeq(transport::fromIce(std::move(head)),
+                                     std::string(transport::toView(data)));
+    }
+    void stopSignal(wire::Header head, wire::StopCause cause, const Ice::Current&) override {
+        if (const auto events = events_.lock())
+            events->stopSignal(transport::fromIce(std::move(head)), transport::fromIce(cause));
+    }
+    void resetSignal(wire::Header head, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->resetSignal(transport::fromIce(std::move(head)));
+    }
+    void clearSignal(wire::Header head, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->clearSignal(transport::fromIce(std::move(head)));
+    }
+    void newClientUpdate(wire::Header head, wire::ClientChange change, const Ice::Current&) override {
+        if (const auto events = events_.lock())
+            events->clientUpdate(transport::fromIce(std::move(head)), transport::fromIce(change));
+    }
+    void newHeartbeat(double, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->serverHeartbeat();
+    }
+    void newRefusalMsg(wire::Header head, int code, std::string reason, const Ice::Current&) override {
+        if (const auto events = events_.lock())
+            events->undeliverable(lane_, transport::fromIce(std::move(head)),
+                                  {static_cast<RefusalCode>(code), std::move(reason), {}});
+    }
+
+  private:
+    const Lane lane_;
+    const std::weak_ptr<ServerEvents> events_;
+};
+
+}  // namespace
+
+/// Lives on the strand; Ice's callbacks hold it weakly and post to it, with the number of the attempt that
+/// they belong to, so that what arrives late from an earlier attempt changes nothing.
+class EntityCommunicator::Connection : public std::enable_shared_from_this<Connection> {
+  public:
+    Connection(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice, ServerAddress address,
+               const Clock& clock, std::weak_ptr<ServerEvents> events)
+        : strand_(std::move(strand)),
+          ice_(std::move(ice)),
+          address_(std::move(address)),
+          clock_(clock),
+          events_(std::move(events)),
+          retry_(strand_),
+          beat_(strand_, clock_),
+          data_servant_(std::make_shared<EntityCallbackServant>(Lane::Data, events_)),
+          signal_servant_(std::make_shared<EntityCallbackServant>(Lane::Signal, events_)) {}
+
+    void want(bool wanted) {
+        if (wanted == wanted_) return;
+        wanted_ = wanted;
+        if (wanted) {
+            backoff_ = kFirstBackoff;
+            login();
+            return;
+        }
+        if (up_) leave();
+        drop();
+    }
+
+    /// After this no event is raised any more.
+    void close() {
+        wanted_ = false;
+        closed_ = true;
+        if (up_) leave();
+        drop();
+    }
+
+    void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
+        if (!up_) return;
+        busy_period_ = std::chrono::milliseconds(registration.heartbeat_busy_ms);
+        idle_period_ = std::chrono::milliseconds(registration.heartbeat_idle_ms);
+        const auto bytes = profile.SerializeAsString();
+        const auto attempt = attempt_;
+        guarded([&] {
+            session_->sendBasicPrflAsync(
+                transport::toIce(registration), toRange(bytes), toRange(address_.secret),
+                [weak = weak_from_this(), attempt] {
+                    if (const auto self = weak.lock())
+                        self->post([attempt](Connection& me) {
+                            if (attempt == me.attempt_) me.registered();
+                        });
+                },
+                failure(attempt, "registration"));
+        });
+    }
+
+    void sendStatus(const EntityStatus& status) {
+        if (!up_) return;
+        const bool busy = status.state == EntityState::BUSY;
+        guarded([&] { oneway_->sendStatusAsync(transport::toIce(status), [] {}, {}, {}); });
+        if (std::exchange(busy_, busy) != busy) keepAlive();
+    }
+
+    void sendToClientBytes(Lane lane, const Header& head, const std::string& message) {
+        sendControl(lane, message, [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
+            proxy.sendToClientAsync(transport::toIce(head), toRange(bytes), back...);
+        });
+    }
+
+    void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+        // Raw data may be dropped, as that for a client; it must not cost the session.
+        if (head.msg_type == kMsgRaw && up_ && *in_flight_ > kDataInFlight) {
+            ++dropped_;
+            return;
+        }
+        sendControl(lane, message.SerializeAsString(),
+                    [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
+                        proxy.sendToPeerAsync(transport::toIce(head), toRange(bytes), back...);
+                    });
+    }
+
+    void sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+        if (!up_) return;
+        if (*in_flight_ > kDataInFlight) {
+            ++dropped_;
+            return;
+        }
+        const auto bytes = message.SerializeAsString();
+        send(bytes, paced_, [&](auto& proxy, auto... back) {
+            proxy.sendToClientDataSeqAsync(transport::toIce(head), toRange(bytes), back...);
+        });
+    }
+
+    std::string localAddress() const {
+        return data_connection_ ? transport::DirectConnection(data_connection_).localAddress()
+                                : std::string();
+    }
+
+    std::uint64_t dropped() const { return dropped_; }
+
+  private:
+    /// `call(proxy, bytes, answered, failed, sent)`.
+    template <class Call>
+    void sendControl(Lane lane, const std::string& bytes, Call call) {
+        if (!up_) return;
+        if (*in_flight_ > kControlInFlight) {
+            // Posted, because the core is waiting for this call to return.
+            post([attempt = attempt_](Connection& self) {
+                self.failed(attempt, "the server does not read what it is sent");
+            });
+            return;
+        }
+        send(bytes, lane == Lane::Signal ? signal_oneway_ : paced_,
+             [&](auto& proxy, auto... back) { call(proxy, bytes, back...); });
+    }
+
+    /// Counts the bytes from the call until Ice has written them, or the server has answered.
+    template <class Call>
+    void send(const std::string& bytes, const std::shared_ptr<EntitySessionPrx>& proxy, Call call) {
+        const auto size = bytes.size();
+        const auto in_flight = in_flight_;
+        *in_flight += size;
+        const auto left = [in_flight, size] { *in_flight -= size; };
+        guarded([&] {
+            if (proxy->ice_isTwoway()) {
+                call(*proxy, std::function<void()>(left), failure(attempt_, "sending"),
+                     std::function<void(bool)>());
+            } else {
+                call(*proxy, std::function<void()>(), std::function<void(std::exception_ptr)>(),
+                     std::function<void(bool)>([left](bool) { left(); }));
+            }
+        });
+    }
+
+    /// AMI calls may throw at once; the close callback of the connection reports the loss, so there is
+    /// nothing to add.
+    template <class Call>
+    void guarded(Call call) {
+        try {
+            call();
+        } catch (const Ice::Exception& e) {
+            const auto attempt = attempt_;
+            const std::string reason = e.what();
+            post([attempt, reason](Connection& self) { self.failed(attempt, reason); });
+        }
+    }
+
+    template <class Action>
+    void post(Action action) {
+        asio::post(strand_, [weak = weak_from_this(), action = std::move(action)] {
+            if (const auto self = weak.lock()) action(*self);
+        });
+    }
+
+    /// What to do when step `what` of the attempt fails; runs on an Ice thread.
+    std::function<void(std::exception_ptr)> failure(std::uint64_t attempt, std::string what) {
+        return [weak = weak_from_this(), attempt, what = std::move(what)](const std::exception_ptr& problem) {
+            const auto self = weak.lock();
+            if (!self) return;
+            const auto reason = what + ": " + transport::translate(problem, self->address_.tls).message;
+            self->post([attempt, reason](Connection& me) { me.failed(attempt, reason); });
+        };
+    }
+
+    void failed(std::uint64_t attempt, const std::string& reason) {
+        if (attempt == attempt_) lost(reason);
+    }
+
+    transport::Endpoint called() const { return {address_.host, address_.port, address_.tls}; }
+
+    void login() {
+        const auto attempt = ++attempt_;
+        open(attempt, Lane::Data, called().text(), {}, [attempt](Connection& self, const Opened& opened) {
+            self.data_connection_ = opened.connection;
+            self.session_ = opened.session;
+            self.data_callback_ = opened.callback;
+            self.nameOurselves(attempt);
+        });
+    }
+
+    /// A lane's session that was opened, and the callback that the server is told of.
+    struct Opened {
+        std::shared_ptr<Ice::Connection> connection;
+        std::shared_ptr<EntitySessionPrx> session;
+        std::shared_ptr<EntityCallbackPrx> callback;
+    };
+
+    /// At the endpoint, or through the router; `token` is that of the first session, for the second. `then`
+    /// runs on the strand.
+    template <class Then>
+    void open(std::uint64_t attempt, Lane lane, const std::string& endpoint, const std::string& token,
+              Then then) {
+        guarded([&] {
+            if (address_.router.empty()) {
+                openAtGate(attempt, lane, endpoint, then);
+            } else {
+                openThroughRouter(attempt, lane, token, then);
+            }
+        });
+    }
+
+    template <class Then>
+    void openAtGate(std::uint64_t attempt, Lane lane, const std::string& endpoint, Then then) {
+        // A connection identifier of its own: Entity Managers that share the communicator must not share
+        // connections.
+        const auto proxy = communicator(lane)->stringToProxy("EntityGate:" + endpoint + " -t 3000");
+        const auto gate = Ice::uncheckedCast<EntityGatePrx>(
+            proxy
+                ->ice_connectionId(std::to_string(reinterpret_cast<std::uintptr_t>(this)) + "-" +
+                                   std::to_string(attempt_))
+                ->ice_context(transport::contractContext())
+                ->ice_invocationTimeout(kLoginTimeoutMs));
+        gate->openAsync(
+            address_.user, address_.password,
+            [weak = weak_from_this(), attempt, lane, gate,
+             then](const std::shared_ptr<EntitySessionPrx>& session) {
+                if (const auto self = weak.lock())
+                    self->post([attempt, lane, gate, then, session](Connection& me) {
+                        if (attempt != me.attempt_) return;
+                        me.guarded([&] {
+                            const auto connection = gate->ice_getCachedConnection();
+                            me.adopt(attempt, lane, connection);
+                            then(me, {connection,
+                                      Ice::uncheckedCast<EntitySessionPrx>(
+                                          connection->createProxy(session->ice_getIdentity())
+                                              ->ice_invocationTimeout(kLoginTimeoutMs)),
+                                      Ice::uncheckedCast<EntityCallbackPrx>(
+                                          me.adapter(lane)->addWithUUID(me.servant(lane)))});
+                        });
+                    });
+            },
+            failure(attempt, "log-in at " + address_.text()));
+    }
+
+    template <class Then>
+    void openThroughRouter(std::uint64_t attempt, Lane lane, const std::string& token, Then then) {
+        transport::openRoutedSession(
+            transport::routerProxy(*communicator(lane), address_.router),
+            {address_.user, address_.password, {}, token, kLoginTimeoutMs},
+            [weak = weak_from_this(), attempt, lane, then](const transport::RoutedSession& routed) {
+                const auto self = weak.lock();
+                if (!self) return routed.connection->close(Ice::ConnectionClose::Forcefully);
+                self->post([attempt, lane, then, routed](Connection& me) {
+                    if (attempt != me.attempt_)
+                        return routed.connection->close(Ice::ConnectionClose::Forcefully);
+                    me.guarded([&] {
+                        me.adopt(attempt, lane, routed.connection);
+                        then(me, {routed.connection, Ice::uncheckedCast<EntitySessionPrx>(routed.session),
+                                  Ice::uncheckedCast<EntityCallbackPrx>(
+                                      routed.callback(*me.adapter(lane), me.servant(lane)))});
+                    });
+                });
+            },
+            failure(attempt, "log-in through " + address_.router));
+    }
+
+    const std::shared_ptr<Ice::Communicator>& communicator(Lane lane) const {
+        return lane == Lane::Signal ? ice_->signal() : ice_->data();
+    }
+    const std::shared_ptr<EntityCallbackServant>& servant(Lane lane) const {
+        return lane == Lane::Signal ? signal_servant_ : data_servant_;
+    }
+    const std::shared_ptr<Ice::ObjectAdapter>& adapter(Lane lane) const {
+        return lane == Lane::Signal ? ice_->signalAdapter() : ice_->dataAdapter();
+    }
+
+    void adopt(std::uint64_t attempt, Lane lane, const std::shared_ptr<Ice::Connection>& connection) {
+        if (!connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
+        connection->setAdapter(adapter(lane));
+        connection->setCloseCallback(
+            [weak = weak_from_this(), attempt](const std::shared_ptr<Ice::Connection>&) {
+                if (const auto self = weak.lock())
+                    self->post([attempt](Connection& me) {
+                        me.failed(attempt, "the server closed the connection");
+                    });
+            });
+    }
+
+    void nameOurselves(std::uint64_t attempt) {
+        session_->setCallbackAsync(
+            data_callback_,
+            [weak = weak_from_this(), attempt](const ::Axon::EntityComm::SessionFacts& facts) {
+                if (const auto self = weak.lock())
+                    self->post([attempt, facts](Connection& me) {
+                        if (attempt == me.attempt_) me.loginSignalLane(attempt, facts);
+                    });
+            },
+            failure(attempt, "setCallback"));
+    }
+
+    void loginSignalLane(std::uint64_t attempt, const ::Axon::EntityComm::SessionFacts& facts) {
+        // Behind a router it is empty.
+        const auto endpoint =
+            facts.signalEndpoint.empty()
+                ? facts.signalEndpoint
+                : transport::asCalled(facts.signalEndpoint, called(),
+                                      transport::DirectConnection::remoteAddressOf(*data_connection_));
+        open(attempt, Lane::Signal, endpoint, facts.token,
+             [attempt, token = facts.token](Connection& self, const Opened& opened) {
+                 self.signal_connection_ = opened.connection;
+                 transport::prepareSignalLane(*self.signal_connection_);
+                 self.signal_session_ = opened.session;
+                 self.signal_callback_ = opened.callback;
+                 self.signal_session_->attachSignalLaneAsync(
+                     token, self.signal_callback_,
+                     [weak = self.weak_from_this(), attempt] {
+                         if (const auto me = weak.lock())
+                             me->post([attempt](Connection& it) {
+                                 if (attempt == it.attempt_) it.joined();
+                             });
+                     },
+                     self.failure(attempt, "attachSignalLane"));
+             });
+    }
+
+    void joined() {
+        oneway_ = Ice::uncheckedCast<EntitySessionPrx>(session_->ice_oneway()->ice_invocationTimeout(-1));
+        signal_oneway_ =
+            Ice::uncheckedCast<EntitySessionPrx>(signal_session_->ice_oneway()->ice_invocationTimeout(-1));
+        paced_ = address_.router.empty() ? oneway_ : session_->ice_invocationTimeout(-1);
+        in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
+        up_ = true;
+        busy_ = false;
+        asked_ = false;
+        if (const auto events = events_.lock()) events->serverUp();
+        keepAlive();
+    }
+
+    /// Only now: a server that lets us in and refuses the registration must not be asked ten times a second.
+    void registered() {
+        registered_ = true;
+        said_ = false;
+        backoff_ = kFirstBackoff;
+    }
+
+    void keepAlive() {
+        if (!up_) return;
+        guarded([&] {
+            const auto beat = static_cast<double>(++beats_);
+            // A router says nothing of a server that has died, but for a call that wants an answer.
+            if (address_.router.empty() || std::exchange(asked_, true)) {
+                signal_oneway_->keepAliveAsync(beat, [] {}, {}, {});
+                return;
+            }
+            signal_session_->keepAliveAsync(
+                beat,
+                [weak = weak_from_this(), attempt = attempt_] {
+                    if (const auto self = weak.lock())
+                        self->post([attempt](Connection& me) {
+                            if (attempt == me.attempt_) me.asked_ = false;
+                        });
+                },
+                failure(attempt_, "sign of life"));
+        });
+        beat_.at(clock_.now() + (busy_ ? busy_period_ : idle_period_), [weak = weak_from_this()] {
+            if (const auto self = weak.lock()) self->keepAlive();
+        });
+    }
+
+    /// An orderly end: the server hears of it before the connection closes.
+    void leave() {
+        guarded([&] { oneway_->leaveAsync([] {}, {}, {}); });
+    }
+
+    void lost(const std::string& reason) {
+        const bool was_up = up_;
+        const bool was_registered = registered_;
+        drop();
+        if (closed_) return;
+        if (const auto events = events_.lock(); events && was_up) events->serverDown(reason);
+        if (!wanted_) return;
+        if (was_registered)
+            spdlog::warn("the session with the entity server at {} is lost: {}", address_.text(), reason);
+        else if (!std::exchange(said_, true))
+            spdlog::warn("no session with the entity server at {} ({}); trying again until there is one",
+                         address_.text(), reason);
+        retry_.expires_after(backoff_);
+        backoff_ = std::min<std::chrono::milliseconds>(backoff_ * 2, kLastBackoff);
+        retry_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
+            if (cancelled) return;
+            const auto self = weak.lock();
+            if (self && self->wanted_ && !self->up_) self->login();
+        });
+    }
+
+    void drop() {
+        ++attempt_;
+        up_ = false;
+        registered_ = false;
+        retry_.cancel();
+        beat_.cancel();
+        forget(data_callback_, ice_->dataAdapter());
+        forget(signal_callback_, ice_->signalAdapter());
+        for (auto* connection : {&data_connection_, &signal_connection_}) {
+            if (*connection) (*connection)->close(Ice::ConnectionClose::Gracefully);
+            connection->reset();
+        }
+        session_ = signal_session_ = oneway_ = paced_ = signal_oneway_ = nullptr;
+    }
+
+    void forget(std::shared_ptr<EntityCallbackPrx>& callback,
+                const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+        if (!callback) return;
+        try {
+            adapter->remove(callback->ice_getIdentity());
+        } catch (const Ice::Exception&) {  // the communicator has been destroyed: nothing is left to forget
+        }
+        callback = nullptr;
+    }
+
+    // Constant after construction.
+    const asio::any_io_executor strand_;
+    const std::shared_ptr<ServerCommunicators> ice_;
+    const ServerAddress address_;
+    const Clock& clock_;
+    const std::weak_ptr<ServerEvents> events_;
+
+    // Confined to the strand.
+    asio::steady_timer retry_;
+    DueTimer beat_;
+    const std::shared_ptr<EntityCallbackServant> data_servant_, signal_servant_;
+    std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
+    std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
+    std::shared_ptr<EntitySessionPrx> session_, signal_session_, oneway_, signal_oneway_;
+    std::shared_ptr<EntitySessionPrx> paced_;  // of messages and data: answered where there is a router
+    std::shared_ptr<std::atomic<std::size_t>> in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
+    std::chrono::milliseconds backoff_ = kFirstBackoff;
+    std::uint64_t attempt_ = 0;
+    std::uint64_t beats_ = 0;
+    std::chrono::milliseconds busy_period_{50};  // of the registration: what the server expects
+    std::chrono::milliseconds idle_period_{2000};
+    bool wanted_ = false;
+    bool up_ = false;
+    bool registered_ = false;
+    bool busy_ = false;
+    bool said_ = false;
+    bool asked_ = false;  // a sign of life is on its way that wants an answer
+    bool closed_ = false;
+    std::atomic<std::uint64_t> dropped_{0};
+};
+
+EntityCommunicator::EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
+                                       ServerAddress address, const Clock& clock,
+                                       std::weak_ptr<ServerEvents> events)
+    : connection_(std::make_shared<Connection>(std::move(strand), std::move(ice), std::move(address), clock,
+                                               std::move(events))) {}
+
+EntityCommunicator::~EntityCommunicator() {
+    connection_->close();
+}
+
+void EntityCommunicator::wantConnection(bool wanted) {
+    connection_->want(wanted);
+}
+void EntityCommunicator::sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
+    connection_->sendBasicPrfl(registration, profile);
+}
+void EntityCommunicator::sendStatus(const EntityStatus& status) {
+    connection_->sendStatus(status);
+}
+void EntityCommunicator::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
+    connection_->sendToClientBytes(lane, head, message.SerializeAsString());
+}
+void EntityCommunicator::sendToClientBytes(Lane lane, const Header& head, const std::string& message) {
+    connection_->sendToClientBytes(lane, head, message);
+}
+void EntityCommunicator::sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+    connection_->sendToPeer(lane, head, message);
+}
+void EntityCommunicator::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    connection_->sendToClientDataSeq(head, message);
+}
+std::string EntityCommunicator::localAddress() const {
+    return connection_->localAddress();
+}
+std::uint64_t EntityCommunicator::droppedData() const {
+    return connection_->dropped();
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/links/server/server_communicators.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include "transport/ice/communicator.hpp"
+
+namespace axon::entity_manager {
+
+ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
+                                         const std::map<std::string, std::string>& properties)
+    : data_(transport::makeCommunicator({.name = "axon-em-data",
+                                         .lane = Lane::Data,
+                                         .client_threads = data_threads,
+                                         .properties = properties})),
+      signal_(transport::makeCommunicator({.name = "axon-em-signal",
+                                           .lane = Lane::Signal,
+                                           .client_threads = signal_threads,
+                                           .properties = properties})),
+      data_adapter_(data_->createObjectAdapter("")),
+      signal_adapter_(signal_->createObjectAdapter("")) {
+    data_adapter_->activate();
+    signal_adapter_->activate();
+}
+
+transport::ConnectionLimits& ServerCommunicators::limits() {
+    // A client opens a path in a moment, and each Entity Manager has one holder at a time.
+    static constexpr transport::ConnectionBounds kBounds{.strangers_of_one_address = 256, .strangers = 1024};
+    std::call_once(limited_, [this] {
+        limits_.emplace(
+            clock_, [](const std::string& line) { spdlog::warn("direct path: {}", line); }, kBounds);
+    });
+    return *limits_;
+}
+
+void ServerCommunicators::destroy() {
+    data_->destroy();
+    signal_->destroy();
+}
+
+}  // namespace axon::entity_manager

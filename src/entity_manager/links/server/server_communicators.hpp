@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "common/clock.hpp"
+#include "transport/ice/connection_limits.hpp"
+
+namespace axon::entity_manager {
+
+/// The two Ice communicators of a process that hosts Entity Managers, shared by all of them: data, and
+/// signals with a client thread pool of its own, because pushes over an outgoing connection are dispatched by
+/// that pool (ADR 0003). Destroying it closes every connection and joins the threads, so it outlives
+/// its Entity Managers.
+class ServerCommunicators {
+  public:
+    /// `properties`: of Ice (Ice.*, IceSSL.*), for both. Throws std::runtime_error for settings Ice does not
+    /// accept.
+    explicit ServerCommunicators(int data_threads = 2, int signal_threads = 1,
+                                 const std::map<std::string, std::string>& properties = {});
+
+    /// Closes every connection and joins the threads; blocks. Entity Managers that are left hear of nobody
+    /// any more.
+    void destroy();
+
+    const std::shared_ptr<Ice::Communicator>& data() const { return data_.communicator(); }
+    const std::shared_ptr<Ice::Communicator>& signal() const { return signal_.communicator(); }
+    const std::shared_ptr<Ice::ObjectAdapter>& dataAdapter() const { return data_adapter_; }
+    const std::shared_ptr<Ice::ObjectAdapter>& signalAdapter() const { return signal_adapter_; }
+    /// Of the ports of direct paths; has a thread from the first call on. Any thread.
+    transport::ConnectionLimits& limits();
+
+  private:
+    Ice::CommunicatorHolder data_;
+    Ice::CommunicatorHolder signal_;
+    std::shared_ptr<Ice::ObjectAdapter> data_adapter_;  // no endpoints: pushes come over our own connections
+    std::shared_ptr<Ice::ObjectAdapter> signal_adapter_;
+    const SteadyClock clock_;
+    std::once_flag limited_;
+    std::optional<transport::ConnectionLimits> limits_;
+};
+
+}  // namespace axon::entity_manager

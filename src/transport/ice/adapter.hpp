@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "transport/ice/endpoint.hpp"
+
+namespace axon::transport {
+
+/// Who closes the connections of peers from which nothing comes.
+enum class Idle : std::uint8_t {
+    ClosedByIce,  ///< Ice, after a minute
+    Watched       ///< ConnectionLimits, which whoever listens asks to watch these endpoints
+};
+
+/// An object adapter that listens, not active yet. With `threads`, calls of one connection run beside each
+/// other on so many; without, in order, on as many as the communicator has for each adapter. Throws
+/// std::runtime_error with the mend where it cannot.
+std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
+                                           const std::string& endpoint, int threads = 0,
+                                           Idle idle = Idle::ClosedByIce);
+
+/// Where peers are told to call it: as configured, else as it listens, with the port that was taken where 0
+/// was asked for, and an empty host where it listens on all addresses of this machine.
+std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter);
+/// Where it listens; an empty host where that is every address of this machine.
+std::vector<Endpoint> listenedEndpoints(const Ice::ObjectAdapter& adapter);
+/// "127.0.0.1:10410", and with ',' between them where it listens at several: "ssl://…,127.0.0.1:10410".
+std::string addressOf(const Ice::ObjectAdapter& adapter);
+
+}  // namespace axon::transport

@@ -1,0 +1,222 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/ice/tls.hpp"
+
+#include <IceSSL/IceSSL.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include "certificates/certificate.hpp"
+#include "common/rate_limit.hpp"
+
+namespace axon::transport {
+namespace {
+
+std::shared_ptr<spdlog::logger> log() {
+    // The client library has a logger of its own; standard output is its program's.
+    const auto logger = spdlog::get("axon");
+    return logger ? logger : spdlog::default_logger();
+}
+
+std::shared_ptr<IceSSL::ConnectionInfo> tlsOf(const std::shared_ptr<Ice::ConnectionInfo>& info) {
+    for (auto layer = info; layer; layer = layer->underlying)
+        if (auto tls = std::dynamic_pointer_cast<IceSSL::ConnectionInfo>(layer)) return tls;
+    return nullptr;
+}
+
+std::shared_ptr<IceSSL::ConnectionInfo> tlsOf(const Ice::Connection& connection) {
+    try {
+        return tlsOf(connection.getInfo());
+    } catch (const Ice::LocalException&) {  // closed meanwhile
+        return nullptr;
+    }
+}
+
+std::optional<PeerCertificate> contentOf(const IceSSL::ConnectionInfo& info) {
+    if (info.certs.empty() || !info.certs.front()) return std::nullopt;
+    try {
+        auto its =
+            certificates::readCertificates(info.certs.front()->encode(), "the peer's certificate").front();
+        return PeerCertificate{std::move(its.name), std::move(its.unit)};
+    } catch (const std::exception&) {  // verified by one library and not understood by the other
+        return PeerCertificate{};
+    }
+}
+
+/// What OpenSSL says, for a person.
+struct Reason {
+    const char* said;
+    const char* means;
+};
+constexpr Reason kReasons[] = {
+    {"expired", "the certificate has expired: axon certs issue … --force makes a new one"},
+    {"not yet valid", "the certificate is not yet valid: compare the clocks of the two machines"},
+    {"ostname mismatch", "the certificate is for other names"},
+    {"P address mismatch", "the certificate is for other addresses"},
+    {"peer did not return a certificate", "no certificate was shown: axon certs issue makes one"},
+    {"unsupported certificate purpose", "the certificate is of another kind"},
+    {"unsuitable certificate purpose", "the certificate is of another kind"},
+    {"self signed", "the certificate is of another CA"},
+    {"self-signed", "the certificate is of another CA"},
+    {"unable to get local issuer", "the certificate is of another CA"},
+    {"unable to verify the first certificate", "the certificate is of another CA"},
+    {"certificate signature failure", "the certificate is of another CA"},
+    {"certificate verify failed", "the certificate is not one of this laboratory's CA"},
+    {"unknown ca", "the certificate is of another CA"},
+};
+
+/// IceSSL 3.7.8 loses what OpenSSL says of a handshake in which no certificate came.
+constexpr const char* kWithoutReason =
+    "no certificate was shown (axon certs issue makes one), or what came is not TLS 1.3";
+
+const char* meaningOf(const std::string& said) {
+    for (const auto& reason : kReasons)
+        if (said.find(reason.said) != std::string::npos) return reason.means;
+    return nullptr;
+}
+
+/// "10.0.0.7:50122" of a line "remote address = …".
+std::string remoteOf(const std::string& message) {
+    constexpr std::string_view kBefore = "remote address = ";
+    const auto at = message.find(kBefore);
+    if (at == std::string::npos) return "an unknown address";
+    const auto begin = at + kBefore.size();
+    return message.substr(begin, message.find('\n', begin) - begin);
+}
+
+std::string onOneLine(std::string text) {
+    std::replace(text.begin(), text.end(), '\n', ' ');
+    return text;
+}
+
+/// Ice's logger of a communicator that speaks TLS. Ice tells nobody but its traces why it has not accepted a
+/// connection; of these the one is passed on, at most ten in a second, as strangers cause it. Where the
+/// configuration asks for traces all are.
+class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<TlsLog> {
+  public:
+    explicit TlsLog(bool all) : all_(all) {}
+    void print(const std::string& message) override { log()->info("{}", onOneLine(message)); }
+    void trace(const std::string& category, const std::string& message) override {
+        if (message.rfind("failed to accept ssl connection", 0) == 0 && limit_.admit(clock_.now())) {
+            const auto* means = meaningOf(message);
+            log()->warn("TLS: a connection from {} was refused: {} ({})", remoteOf(message),
+                        means != nullptr ? means : kWithoutReason, said(message));
+        } else if (all_) {
+            log()->info("{}: {}", category, onOneLine(message));
+        }
+    }
+    void warning(const std::string& message) override { log()->warn("{}", onOneLine(message)); }
+    void error(const std::string& message) override { log()->error("{}", onOneLine(message)); }
+    std::string getPrefix() override { return {}; }
+    std::shared_ptr<Ice::Logger> cloneWithPrefix(const std::string&) override { return shared_from_this(); }
+
+  private:
+    /// Without file, line and addresses.
+    static std::string said(const std::string& message) {
+        constexpr std::string_view kBefore = "exception: ";
+        const auto at = message.find(kBefore);
+        auto text = at == std::string::npos ? message : message.substr(at + kBefore.size());
+        return onOneLine(text.substr(0, text.find("\nlocal address")));
+    }
+
+    const bool all_;
+    const SteadyClock clock_{};
+    RateLimit limit_{10};
+};
+
+}  // namespace
+
+std::optional<PeerCertificate> certificateOf(const Ice::Connection& connection) {
+    const auto info = tlsOf(connection);
+    return info ? contentOf(*info) : std::nullopt;
+}
+
+bool isTls(const Ice::Connection& connection) {
+    return tlsOf(connection) != nullptr;
+}
+
+bool speaksTls(const std::map<std::string, std::string>& properties) {
+    return properties.contains("IceSSL.CertFile") || properties.contains("IceSSL.FindCert");
+}
+
+void prepareTls(Ice::InitializationData& init, const std::map<std::string, std::string>& configured) {
+    const std::map<std::string, std::string> defaults = {
+        {"Ice.Plugin.IceSSL", "IceSSL:createIceSSL"},
+        {"IceSSL.VerifyPeer", "2"},
+        {"IceSSL.CheckCertName", "1"},
+        {"IceSSL.ProtocolVersionMin", "tls1_3"},
+        {"Ice.Trace.Network", "2"},  // for TlsLog
+    };
+    bool all = false;
+    for (const auto& [key, value] : configured)
+        all = all || key.rfind("Ice.Trace.", 0) == 0 || key.rfind("IceSSL.Trace.", 0) == 0;
+    for (const auto& [key, value] : defaults)
+        if (!configured.contains(key)) init.properties->setProperty(key, value);
+    init.logger = std::make_shared<TlsLog>(all);
+}
+
+void checkServers(const std::shared_ptr<Ice::Communicator>& communicator) {
+    const auto plugin =
+        std::dynamic_pointer_cast<IceSSL::Plugin>(communicator->getPluginManager()->getPlugin("IceSSL"));
+    if (!plugin) return;
+    plugin->setCertificateVerifier([](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
+        if (info->incoming) return true;  // the gates say what they expect, and why not
+        const auto its = contentOf(*info);
+        if (its && (its->unit == "server" || its->unit == "router")) return true;
+        log()->warn(
+            "TLS: who was called shows the certificate of the {} '{}'; expected one of a server: it is not "
+            "the server, or has the wrong certificate",
+            its ? its->unit : std::string("unknown"), its ? its->name : std::string());
+        return false;
+    });
+}
+
+std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_up) {
+    const auto refused = [](const std::string& said) {
+        const auto* means = meaningOf(said);
+        return Refusal{RefusalCode::PermissionDenied,
+                       std::string("the server's certificate is not accepted: ") +
+                           (means != nullptr ? means : onOneLine(said).c_str()) +
+                           "; expected one of the laboratory's CA (IceSSL.CAs) for the name or address that "
+                           "was called: axon certs issue --server NAME ADDRESS",
+                       {}};
+    };
+    try {
+        std::rethrow_exception(error);
+    } catch (const Ice::SecurityException& security) {
+        return refused(security.reason);
+    } catch (const Ice::ProtocolException& protocol) {
+        if (protocol.reason.find("SSL") == std::string::npos) return std::nullopt;
+        if (protocol.reason.find("alert") == std::string::npos && meaningOf(protocol.reason) != nullptr)
+            return refused(protocol.reason);
+        // IceSSL 3.7.8 loses what OpenSSL says of it.
+        if (protocol.reason.find("new outgoing connection") != std::string::npos)
+            return Refusal{RefusalCode::NotConnected,
+                           "TLS could not be set up: most likely the server does not speak TLS at that port "
+                           "(leave ssl:// out, or name another port); otherwise its log says why",
+                           {}};
+        if (!setting_up)
+            return Refusal{RefusalCode::NotConnected, "the connection by TLS was lost; connect again", {}};
+    } catch (const Ice::ConnectionLostException&) {
+        if (!setting_up) return std::nullopt;
+    } catch (...) {
+        return std::nullopt;
+    }
+    return Refusal{
+        RefusalCode::PermissionDenied,
+        "the server closed the connection as it was being set up; most likely it does not accept the "
+        "certificate that was shown (IceSSL.CertFile: of another CA, or expired; axon certs show). "
+        "Its log says why",
+        {}};
+}
+
+std::string certificateMissing(const std::string& address, const std::string& kind) {
+    return "'" + address +
+           "' is TLS, and no certificate is configured (IceSSL.CertFile): axon certs init, then axon "
+           "certs issue --" +
+           kind + " NAME; it writes a configuration file for --config";
+}
+
+}  // namespace axon::transport

@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <exception>
+#include <map>
+#include <optional>
+#include <string>
+
+#include "common/result.hpp"
+#include "transport/ice/endpoint.hpp"
+#include "transport/ice/login.hpp"
+
+// TLS by IceSSL (docs/reference/tls.md): what the rest of the transport asks of it. Threads: any.
+namespace axon::transport {
+
+/// The peer's certificate, which IceSSL has verified; none over plain TCP, and of a peer that showed none.
+std::optional<PeerCertificate> certificateOf(const Ice::Connection& connection);
+
+bool isTls(const Ice::Connection& connection);
+
+/// Whether these properties say how to speak TLS: which certificate to show.
+bool speaksTls(const std::map<std::string, std::string>& properties);
+
+/// For a communicator that speaks TLS, before it is made: the plug-in, our defaults for what the
+/// configuration does not say, and a logger that tells why a peer's certificate was refused, which nobody
+/// else gets to know.
+void prepareTls(Ice::InitializationData& init, const std::map<std::string, std::string>& configured);
+
+/// The same, afterwards: who is called must show the certificate of a server or a router.
+void checkServers(const std::shared_ptr<Ice::Communicator>& communicator);
+
+/// Why an Ice exception of TLS was thrown, and what to do; nothing for others. `setting_up`: the connection
+/// was being made, and a loss of it means that the other side did not like our certificate (TLS 1.3 tells the
+/// caller nothing else).
+std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_up);
+
+/// Refused before anything is sent: TLS without a certificate to show. `kind` is "client", "entity" or
+/// "server".
+std::string certificateMissing(const std::string& address, const std::string& kind);
+
+}  // namespace axon::transport

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/outbox/outbox.hpp"
+
+#include "transport/ice/communicator.hpp"
+
+namespace axon::transport {
+
+static_assert(OutboxLimits{}.data_bytes >= kMessageSizeMaxKib * std::size_t{1024},
+              "what a peer may send must be able to wait");
+
+void Outbox::onSent(Traffic traffic, std::size_t bytes, SenderKey from) {
+    {
+        const std::lock_guard lock(mutex_);
+        core_.sent(traffic, bytes, from);
+        if (!core_.startPump()) return;
+    }
+    while (true) {
+        std::optional<OutboxCore<Parcel>::Item> item;
+        {
+            const std::lock_guard lock(mutex_);
+            item = core_.next();
+        }
+        if (!item) return;
+        launch(item->traffic, item->bytes, item->from, item->parcel);
+    }
+}
+
+void Outbox::fail() {
+    bool was_open = false;
+    {
+        const std::lock_guard lock(mutex_);
+        was_open = !core_.closed();
+        core_.close();
+    }
+    if (was_open && until_ == Until::Answered) disconnect_(false, "what it is sent does not arrive");
+}
+
+void Outbox::close() {
+    const std::lock_guard lock(mutex_);
+    core_.close();
+}
+
+bool Outbox::closed() const {
+    const std::lock_guard lock(mutex_);
+    return core_.closed();
+}
+
+OutboxCounts Outbox::counts() const {
+    const std::lock_guard lock(mutex_);
+    return core_.counts();
+}
+
+}  // namespace axon::transport

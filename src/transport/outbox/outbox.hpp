@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <exception>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+
+#include "transport/outbox/outbox_core.hpp"
+
+namespace axon::transport {
+
+/// Given to each asynchronous call of Ice, which uses a twoway proxy where `answered` is set, a oneway proxy
+/// where `sent` is. `failed` or that one is called, once.
+struct SendCallbacks {
+    std::function<void()> answered;
+    std::function<void(std::exception_ptr)> failed;
+    std::function<void(bool)> sent;
+};
+
+/// When a message has left an outbox.
+enum class Until : std::uint8_t {
+    Written,  ///< to the socket
+    /// Control and data: answered by the consumer. A router takes whatever it is sent, and its memory has no
+    /// bound but this one. Signals and heartbeats never wait for an answer.
+    Answered
+};
+
+/// Messages on their way to one consumer over one lane. Servants' callback adapters (EntityOutbox,
+/// ClientOutbox) and the client's session send through it.
+///
+/// Flow: post() asks OutboxCore. Usually nothing is in the way, and the message goes to Ice from the caller's
+/// thread without a copy of our own; otherwise an owning copy waits until Ice has written enough. Threads:
+/// any. One mutex, never held across a call of Ice or of `disconnect`. Lifetime: held by shared_ptr; Ice's
+/// callbacks keep it alive. Failure: a failed send closes it; where messages are answered it
+/// also calls `disconnect`, because no connection that ends says so. An overflow calls that, once.
+class Outbox : public std::enable_shared_from_this<Outbox> {
+  public:
+    /// Must not call back into the outbox's owner before it returns: closing a connection is what it is for.
+    using Disconnect = std::function<void(bool improper, const std::string& why)>;
+    using Parcel = std::function<void(SendCallbacks&&)>;
+
+    Outbox(OutboxLimits limits, Disconnect disconnect, Until until = Until::Written)
+        : disconnect_(std::move(disconnect)), until_(until), core_(limits) {}
+    /// Whoever used it last held the mutex; that its reference was let go of before this one is counted in
+    /// libIce, out of ThreadSanitizer's sight.
+    ~Outbox() { const std::lock_guard lock(mutex_); }
+
+    /// `send(SendCallbacks&&)` makes the asynchronous call, perhaps at once; `own()` returns a Parcel that
+    /// does the same from copies. `bytes` is about the message's size on the wire. Returns false, and sends
+    /// nothing, when it is beyond the share of `from`.
+    template <class Send, class Own>
+    bool post(Traffic traffic, std::size_t bytes, Send&& send, Own&& own, SenderKey from = kServersOwn) {
+        using Verdict = OutboxCore<Parcel>::Verdict;
+        Verdict verdict;
+        {
+            const std::lock_guard lock(mutex_);
+            verdict = core_.offer(traffic, bytes, own, from);
+        }
+        if (verdict == Verdict::Send) {
+            launch(traffic, bytes, from, send);
+        } else if (verdict == Verdict::Overflow) {
+            disconnect_(true, traffic == Traffic::Signal ? "it does not take signals"
+                                                         : "it does not read its messages");
+        }
+        return verdict != Verdict::Refused;
+    }
+
+    /// Of control and data that may not wait: false where it would have to, and nothing has happened then.
+    template <class Send>
+    bool postAtOnce(Traffic traffic, std::size_t bytes, Send&& send) {
+        using Verdict = OutboxCore<Parcel>::Verdict;
+        {
+            const std::lock_guard lock(mutex_);
+            if (!core_.mayPass() || core_.offer(traffic, bytes, [] { return Parcel(); }) != Verdict::Send)
+                return false;
+        }
+        launch(traffic, bytes, kServersOwn, send);
+        return true;
+    }
+    void close();
+    bool closed() const;
+    OutboxCounts counts() const;
+
+  private:
+    template <class Send>
+    void launch(Traffic traffic, std::size_t bytes, SenderKey from, Send& send) {
+        SendCallbacks back;
+        back.failed = [self = shared_from_this()](std::exception_ptr) { self->fail(); };
+        if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
+            back.answered = [self = shared_from_this(), traffic, bytes, from] {
+                self->onSent(traffic, bytes, from);
+            };
+        } else {
+            back.sent = [self = shared_from_this(), traffic, bytes, from](bool) {
+                self->onSent(traffic, bytes, from);
+            };
+        }
+        try {
+            send(std::move(back));
+        } catch (const std::exception&) {
+            fail();  // the connection or the communicator is gone; its close callback tells the owner
+        }
+    }
+    void onSent(Traffic traffic, std::size_t bytes, SenderKey from);
+    void fail();
+
+    const Disconnect disconnect_;
+    const Until until_;
+    mutable std::mutex mutex_;
+    OutboxCore<Parcel> core_;  // guarded by mutex_
+};
+
+}  // namespace axon::transport

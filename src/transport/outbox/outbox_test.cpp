@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/outbox/outbox.hpp"
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace axon::transport {
+namespace {
+
+/// An outbox in front of a way that is told by hand what became of each message.
+class OutboxTest : public testing::Test {
+  protected:
+    void begin(Until until) {
+        OutboxLimits limits;
+        limits.window_bytes = 100;
+        limits.control_bytes = 1000;
+        limits.control_messages = 2;
+        outbox = std::make_shared<Outbox>(
+            limits,
+            [this](bool improper, const std::string& why) { ends.push_back((improper ? "! " : "") + why); },
+            until);
+    }
+    void post(Traffic traffic) {
+        const auto send = [this](SendCallbacks&& back) { ways.push_back(std::move(back)); };
+        outbox->post(traffic, 100, send, [send] { return Outbox::Parcel(send); });
+    }
+
+    std::shared_ptr<Outbox> outbox;
+    std::vector<SendCallbacks> ways;
+    std::vector<std::string> ends;
+};
+
+TEST_F(OutboxTest, OnASocketAMessageHasLeftWhenItIsWritten) {
+    begin(Until::Written);
+    post(Traffic::Control);
+    post(Traffic::Control);
+    ASSERT_EQ(ways.size(), 1U);
+    EXPECT_FALSE(ways[0].answered);
+    ways[0].sent(true);
+    EXPECT_EQ(ways.size(), 2U);
+    ways[1].failed(nullptr);
+    EXPECT_TRUE(ends.empty()) << "the connection that closes says so";
+}
+
+TEST_F(OutboxTest, WhatMayNotWaitLeavesNothingBehindWhereItWouldHaveTo) {
+    begin(Until::Written);
+    const auto send = [this](SendCallbacks&& back) { ways.push_back(std::move(back)); };
+    EXPECT_TRUE(outbox->postAtOnce(Traffic::Control, 60, send));
+    post(Traffic::Signal);  // of another thread: it passes everything, and fills the window
+    EXPECT_FALSE(outbox->postAtOnce(Traffic::Control, 60, send));
+    ASSERT_EQ(ways.size(), 2U);
+    ways[0].sent(true);
+    ways[1].sent(true);
+    EXPECT_EQ(ways.size(), 2U) << "nothing had been queued";
+    EXPECT_FALSE(outbox->closed());
+    EXPECT_TRUE(outbox->postAtOnce(Traffic::Data, 60, send));
+    outbox->close();
+    EXPECT_FALSE(outbox->postAtOnce(Traffic::Data, 60, send));
+}
+
+TEST_F(OutboxTest, BehindARouterControlAndDataHaveLeftWhenTheyAreAnsweredAndSignalsWhenWritten) {
+    begin(Until::Answered);
+    for (const auto traffic : {Traffic::Control, Traffic::Data, Traffic::Signal}) post(traffic);
+    ASSERT_EQ(ways.size(), 2U) << "the data waits, the signal does not";
+    EXPECT_TRUE(ways[0].answered);
+    EXPECT_FALSE(ways[0].sent);
+    EXPECT_TRUE(ways[1].sent);
+    EXPECT_FALSE(ways[1].answered);
+    ways[1].sent(true);
+    EXPECT_EQ(ways.size(), 2U);
+    ways[0].answered();
+    ASSERT_EQ(ways.size(), 3U);
+    EXPECT_TRUE(ways[2].answered);
+}
+
+TEST_F(OutboxTest, BehindARouterAMessageThatDoesNotArriveEndsTheSessionOnce) {
+    begin(Until::Answered);
+    post(Traffic::Control);
+    post(Traffic::Signal);
+    ways[0].failed(nullptr);
+    ways[1].failed(nullptr);
+    EXPECT_EQ(ends, std::vector<std::string>{"what it is sent does not arrive"});
+    post(Traffic::Control);
+    EXPECT_EQ(ways.size(), 2U) << "closed";
+}
+
+TEST_F(OutboxTest, WhoReadsNothingIsDisconnectedForIt) {
+    begin(Until::Answered);
+    for (int i = 0; i < 4; ++i) post(Traffic::Control);
+    EXPECT_EQ(ends, std::vector<std::string>{"! it does not read its messages"});
+}
+
+}  // namespace
+}  // namespace axon::transport

@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "transport/ice/adapter.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/connection_limits.hpp"
+#include "transport/ice/contract.hpp"
+#include "transport/ice/convert.hpp"
+#include "transport/ice/endpoint.hpp"
+#include "transport/ice/lane_socket.hpp"
+#include "transport/ice/login.hpp"
+#include "transport/ice/peer_connection.hpp"
+#include "transport/ice/tls.hpp"
+#include "transport/ice/unreadable_calls.hpp"
+#include "transport/outbox/outbox.hpp"
+#include "transport/sessions/open_sessions.hpp"
+#include "transport/sessions/routed_connection.hpp"
+
+// A session of two lanes, on the server's side: what a client's and an Entity Manager's have in common.
+namespace axon::transport {
+
+/// What the servants of one lane share. Outlives them.
+template <class Core, class Servant>
+struct SessionLane {
+    Core& core;
+    Lane lane;
+    OutboxLimits limits;
+    /// Of the signal lane's adapter; without a host where it listens on all addresses.
+    std::vector<Endpoint> signal_endpoints;
+    OpenSessions<Servant> sessions;
+    /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
+    /// waits for a password.
+    Logins* logins = nullptr;
+    std::string server = {};  ///< its name, where there are several
+
+    /// Where this peer finds the signal lane, by the protocol that it came by; empty behind a
+    /// router, which knows.
+    std::string signalEndpoint(const PeerConnection& peer) const {
+        if (peer.routed()) return {};
+        for (auto endpoint : signal_endpoints) {
+            if (endpoint.tls != peer.tls()) continue;
+            if (endpoint.host.empty()) endpoint.host = peer.localAddress();
+            return endpoint.host.empty() ? endpoint.host : endpoint.text();
+        }
+        return {};
+    }
+    /// The core's token as the peer gets it: behind a router it leads to this server (router_servants.hpp).
+    std::string toPeer(const std::string& token) const {
+        return server.empty() ? token : server + "/" + token;
+    }
+    static std::string fromPeer(const std::string& token) { return token.substr(token.rfind('/') + 1); }
+};
+
+/// What a servant keeps of its session on one lane. `Ref` is the core's reference to it, `End` says how it
+/// ended. States: opened ─ adopt() ► ready ─ end() ► ended; end() may come first, also while the core is
+/// being told of the session. Threads: any. The servant answers only on the connection that opened the
+/// session.
+template <class Ref, class End>
+class LaneSession {
+  public:
+    /// `leave` tells the core; it is called once, without a lock.
+    LaneSession(std::shared_ptr<PeerConnection> peer, std::function<void(const Ref&, const End&)> leave)
+        : peer_(std::move(peer)), leave_(std::move(leave)) {}
+
+    bool ready() const { return ready_; }
+    const std::shared_ptr<PeerConnection>& peer() const { return peer_; }
+
+    /// The first end counts.
+    void end(End how) {
+        Ref ref;
+        {
+            const std::lock_guard lock(mutex_);
+            if (end_) return;
+            end_ = how;
+            ref = ref_;
+        }
+        if (ref) leave_(ref, how);
+    }
+    void adopt(Ref ref) {
+        std::optional<End> ended;
+        {
+            const std::lock_guard lock(mutex_);
+            ref_ = ref;
+            ended = end_;
+        }
+        ready_ = true;
+        if (ended) leave_(ref, *ended);  // the connection ended while the session was being set up
+    }
+    /// Throws Ice::ObjectNotExistException when it is not ready, or the call came over another connection.
+    const Ref& of(const Ice::Current& current) const {
+        peer_->require(current);
+        if (!ready_)
+            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
+                                               current.operation);
+        return ref_;
+    }
+    /// The callback of a new session, to send on; `fits`: this is the lane that the operation is for.
+    template <class Prx>
+    std::shared_ptr<Prx> newCallback(const std::shared_ptr<Prx>& given, bool fits,
+                                     const Ice::Current& current) const {
+        peer_->require(current);
+        auto proxy = callbackProxy(given, current);
+        if (!proxy)
+            throw toIce(
+                Refusal{RefusalCode::Malformed, "the callback is null; give the proxy of a callback", {}});
+        if (!peer_->routed() && !callsBack(*given, current))
+            throw toIce(
+                Refusal{RefusalCode::PermissionDenied,
+                        "the callback's proxy names another address than that of its connection; give one "
+                        "without endpoints (of an adapter that is bound to the connection)",
+                        {}});
+        if (!fits || ready_)
+            throw toIce(Refusal{RefusalCode::WrongState,
+                                current.operation +
+                                    " is for a new session, once: setCallback on the data port, "
+                                    "attachSignalLane on the signal port",
+                                {}});
+        return proxy;
+    }
+
+  private:
+    const std::shared_ptr<PeerConnection> peer_;
+    const std::function<void(const Ref&, const End&)> leave_;
+    std::mutex mutex_;
+    std::optional<End> end_;  // guarded by mutex_
+    Ref ref_;                 // written once, before ready_ is
+    std::atomic<bool> ready_{false};
+};
+
+/// As long as what is returned lives, who has no session of this lane cannot keep connections to its adapter.
+/// `routers`: those whose sessions come by it as well; null where there are none.
+template <class Core, class Servant>
+[[nodiscard]] std::shared_ptr<void> watch(ConnectionLimits& limits, const Ice::ObjectAdapter& adapter,
+                                          SessionLane<Core, Servant>& lane,
+                                          const RouterConnections* routers) {
+    auto& sessions = lane.sessions;
+    return limits.watch(listenedEndpoints(adapter),
+                        {[&sessions, routers](const std::string& peer) {
+                             return routers != nullptr && routers->has(peer) ? ConnectionLimits::Peer::Exempt
+                                                                             : sessions.stateOf(peer);
+                         },
+                         [&sessions](const std::string& peer) { sessions.endSilent(peer); }});
+}
+
+/// Puts a session's servant behind a proxy that tells of unreadable calls; it ends with its peer
+/// (`closed(reason)`).
+template <class SessionPrx, class Core, class Servant>
+std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
+                                       const std::shared_ptr<PeerConnection>& peer,
+                                       const std::shared_ptr<Servant>& servant,
+                                       const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+    valueOrThrow(lane.sessions.add(*peer, servant));
+    auto proxy = Ice::uncheckedCast<SessionPrx>(
+        adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer())));
+    peer->onClosed([&lane, servant, key = peer->key(), adapter,
+                    id = proxy->ice_getIdentity()](const CloseReason& reason) {
+        lane.sessions.remove(key);
+        servant->closed(reason);
+        try {
+            adapter->remove(id);
+        } catch (const Ice::LocalException&) {  // the adapter is being destroyed, with its servants
+        }
+    });
+    return proxy;
+}
+
+/// How a gate answers open(): when the log-in is decided, the servant that `make(who)` returns is put behind
+/// a session proxy, and ends with its connection. For the data lane `ask(request, answer)`
+/// asks Logins.
+template <class SessionPrx, class Core, class Servant, class Make, class Ask>
+void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectConnection>& peer,
+                 LoginRequest request, std::function<void(const std::shared_ptr<SessionPrx>&)> opened,
+                 std::function<void(std::exception_ptr)> refused, const Ice::Current& current, Make make,
+                 Ask ask) {
+    if (const auto other = otherContract(current.ctx)) return refused(std::make_exception_ptr(toIce(*other)));
+    request.peer = DirectConnection::peerOf(*peer->get());
+    request.local = DirectConnection::localOf(*peer->get());
+    request.certificate = certificateOf(*peer->get());
+    Logins::Answer answer = [&lane, peer, adapter = current.adapter, opened = std::move(opened),
+                             refused = std::move(refused), make = std::move(make)](Result<LoggedIn> who) {
+        try {
+            const std::shared_ptr<Servant> servant = make(valueOrThrow(std::move(who)));
+            auto proxy = addSession<SessionPrx, Core, Servant>(lane, peer, servant, adapter);
+            if (lane.lane == Lane::Signal) prepareSignalLane(*peer->get());
+            opened(proxy);
+        } catch (...) {
+            refused(std::current_exception());
+        }
+    };
+    if (lane.logins == nullptr) return answer(LoggedIn{});
+    lane.sessions.asks(request.peer);
+    ask(*lane.logins, std::move(request),
+        [&lane, its_peer = request.peer, answer = std::move(answer)](Result<LoggedIn> who) {
+            answer(std::move(who));
+            lane.sessions.answered(its_peer);
+        });
+}
+
+}  // namespace axon::transport

@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/sessions/router_servants.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <future>
+#include <optional>
+#include <stdexcept>
+#include <utility>
+
+#include "certificates/certificate.hpp"
+#include "transport/ice/adapter.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/ice/contract.hpp"
+#include "transport/ice/convert.hpp"
+
+namespace axon::transport {
+namespace {
+
+/// One waits for a password, a second for a neighbour that waits for us, and some are left.
+constexpr int kThreads = 8;
+
+[[noreturn]] void cannotCreate(const std::string& reason) {
+    throw Glacier2::CannotCreateSessionException(reason);
+}
+
+}  // namespace
+
+namespace {
+
+/// Who the router has seen; it has verified the certificate.
+std::optional<PeerCertificate> certificateIn(const Glacier2::SSLInfo& info) {
+    if (info.certs.empty()) return std::nullopt;
+    try {
+        auto its = certificates::readCertificates(info.certs.front(), "the peer's certificate").front();
+        return PeerCertificate{std::move(its.name), std::move(its.unit)};
+    } catch (const std::exception&) {  // verified by one library and not understood by the other
+        return PeerCertificate{};
+    }
+}
+
+bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason,
+               const Ice::Current& current) {
+    if (const auto may = door.routers.admit(current.con); !may) {
+        spdlog::warn("audit: somebody was to be verified for {}, which was refused: {}",
+                     DirectConnection::peerOf(*current.con), may.refusal().message);
+        throw Glacier2::PermissionDeniedException(may.refusal().message);
+    }
+    auto answer = std::make_shared<std::promise<Result<LoggedIn>>>();
+    auto answered = answer->get_future();
+    request.peer = DirectConnection::peerOf(*current.con);
+    request.local = DirectConnection::localOf(*current.con);
+    door.verify(std::move(request), [answer](Result<LoggedIn> who) { answer->set_value(std::move(who)); });
+    const auto who = answered.get();
+    if (!who) reason = who.refusal().message;
+    return who.ok();
+}
+
+/// `pass_on(neighbour)` asks the server that has the other lane's session.
+template <class PassOn>
+std::shared_ptr<Glacier2::SessionPrx> createSession(
+    const RouterDoor& door, const std::string& user, const std::optional<PeerCertificate>& certificate,
+    const std::shared_ptr<Glacier2::SessionControlPrx>& control, const Ice::Current& current,
+    PassOn pass_on) {
+    if (const auto may = door.routers.admit(current.con); !may) {
+        spdlog::warn("audit: a session was asked for by {}, which was refused: {}",
+                     DirectConnection::peerOf(*current.con), may.refusal().message);
+        cannotCreate(may.refusal().message);
+    }
+    if (const auto other = otherContract(current.ctx)) cannotCreate(other->message);
+    if (!control)
+        cannotCreate("the router has no way back: set Glacier2.Server.Endpoints in its configuration");
+    const auto token = current.ctx.find(kContextToken);
+    const bool signal = token != current.ctx.end();
+    if (signal) {
+        const auto slash = token->second.find('/');
+        const auto server = slash == std::string::npos ? std::string() : token->second.substr(0, slash);
+        if (!server.empty() && server != door.server) {
+            const auto neighbour = door.neighbours.find(server);
+            if (neighbour == door.neighbours.end())
+                cannotCreate("this server knows no server " + server.substr(0, 64) +
+                             ", whose token came with the request; give it Server.Peer." +
+                             server.substr(0, 64));
+            try {
+                return pass_on(neighbour->second);
+            } catch (const Glacier2::CannotCreateSessionException&) {
+                throw;
+            } catch (const Ice::Exception&) {
+                cannotCreate("the server " + server + ", which has the other session, does not answer: " +
+                             translate(std::current_exception()).message);
+            }
+        }
+    }
+    auto who = door.vouched(user, certificate);
+    if (!who) cannotCreate(who.refusal().message);
+    const auto name = current.ctx.find(kContextName);
+    const auto peer = std::make_shared<RoutedConnection>(control, door.routers, *current.con);
+    try {
+        auto session = door.open(signal ? Lane::Signal : Lane::Data, who.value(),
+                                 name == current.ctx.end() ? std::string() : name->second, peer);
+        // Of all objects behind the router the peer may call this one.
+        control->identities()->add({session->ice_getIdentity()});
+        return session;
+    } catch (const std::exception&) {
+        peer->disconnect({false, "its session could not be set up"}, false);
+        cannotCreate(translate(std::current_exception()).message);
+    }
+}
+
+}  // namespace
+
+bool PermissionsVerifierServant::checkPermissions(std::string user, std::string password, std::string& reason,
+                                                  const Ice::Current& current) const {
+    return mayComeIn(door_, {std::move(user), std::move(password), {}, {}, {}}, reason, current);
+}
+
+bool CertificateVerifierServant::authorize(Glacier2::SSLInfo info, std::string& reason,
+                                           const Ice::Current& current) const {
+    auto certificate = certificateIn(info);
+    if (!certificate) {
+        reason =
+            "no certificate was shown to the router; name a user and a password, or show one: axon certs "
+            "issue";
+        return false;
+    }
+    return mayComeIn(door_, {{}, {}, {}, {}, std::move(certificate)}, reason, current);
+}
+
+std::shared_ptr<Glacier2::SessionPrx> SessionManagerServant::create(
+    std::string user, std::shared_ptr<Glacier2::SessionControlPrx> control, const Ice::Current& current) {
+    return createSession(door_, user, std::nullopt, control, current, [&](const auto& neighbour) {
+        return neighbour->create(user, control, current.ctx);
+    });
+}
+
+std::shared_ptr<Glacier2::SessionPrx> CertificateSessionManagerServant::create(
+    Glacier2::SSLInfo info, std::shared_ptr<Glacier2::SessionControlPrx> control,
+    const Ice::Current& current) {
+    const auto certificate = certificateIn(info);
+    if (!certificate) cannotCreate("no certificate was shown to the router");
+    return createSession(door_, {}, certificate, control, current, [&](const auto& neighbour) {
+        return Ice::uncheckedCast<Glacier2::SSLSessionManagerPrx>(
+                   neighbour->ice_identity(Ice::stringToIdentity(kSslSessionManager)))
+            ->create(info, control, current.ctx);
+    });
+}
+
+std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
+                                                     const std::string& endpoint, RouterDoor& door) {
+    auto adapter = listen(communicator, name, endpoint, kThreads);
+    adapter->add(std::make_shared<PermissionsVerifierServant>(door),
+                 Ice::stringToIdentity(kPermissionsVerifier));
+    adapter->add(std::make_shared<SessionManagerServant>(door), Ice::stringToIdentity(kSessionManager));
+    adapter->add(std::make_shared<CertificateVerifierServant>(door),
+                 Ice::stringToIdentity(kSslPermissionsVerifier));
+    adapter->add(std::make_shared<CertificateSessionManagerServant>(door),
+                 Ice::stringToIdentity(kSslSessionManager));
+    return adapter;
+}
+
+std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighboursOf(
+    const Ice::Communicator& communicator, const std::map<std::string, std::string>& proxies) {
+    std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> out;
+    for (const auto& [name, proxy] : proxies) {
+        try {
+            out[name] = Ice::uncheckedCast<Glacier2::SessionManagerPrx>(communicator.stringToProxy(proxy));
+        } catch (const Ice::Exception& error) {
+            throw std::runtime_error("Server.Peer." + name + ": '" + proxy + "' (" + error.ice_id() +
+                                     "): expected the proxy of a session manager, such as "
+                                     "SessionManager:tcp -h 127.0.0.1 -p 10434");
+        }
+    }
+    return out;
+}
+
+}  // namespace axon::transport

@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Glacier2/PermissionsVerifier.h>
+#include <Glacier2/Session.h>
+#include <Ice/Ice.h>
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "common/routed.hpp"
+#include "transport/ice/login.hpp"
+#include "transport/sessions/lane_session.hpp"
+#include "transport/sessions/routed_connection.hpp"
+
+// What a Glacier2 router asks a server: who may come in, and for a session (thesis: SessionManager). The
+// front-end server and the entity server have the same servants, each on an adapter for routers alone,
+// whose threads wait for passwords and for neighbours.
+namespace axon::transport {
+
+/// Request context of Glacier2::Router::createSession, which the router passes on. What it adds itself
+/// (_con.…) a client can put there too, so nothing is believed.
+inline constexpr const char* kContextName = "axon-name";  ///< what a client calls itself: client1@host
+inline constexpr const char* kContextToken =
+    "axon-token";  ///< this session is the signal lane of the one with it
+
+/// The identities a router's configuration names.
+inline constexpr const char* kSessionManager = "SessionManager";
+inline constexpr const char* kPermissionsVerifier = "PermissionsVerifier";
+inline constexpr const char* kSslSessionManager = "SSLSessionManager";
+inline constexpr const char* kSslPermissionsVerifier = "SSLPermissionsVerifier";
+
+/// What the two servants know of their server; outlives them.
+struct RouterDoor {
+    RouterConnections& routers;
+    std::function<void(LoginRequest, Logins::Answer)> verify;
+    std::function<Result<LoggedIn>(const std::string& user, const std::optional<PeerCertificate>&)> vouched;
+    /// Makes the session; may throw RequestRefused.
+    std::function<std::shared_ptr<Glacier2::SessionPrx>(
+        Lane, const LoggedIn&, const std::string& display_name, const std::shared_ptr<RoutedConnection>&)>
+        open;
+    std::string server;  ///< its name; a token begins with that of the server that gave it
+    /// The session managers of the other servers of this kind, by name.
+    std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighbours;
+};
+
+class PermissionsVerifierServant final : public Glacier2::PermissionsVerifier {
+  public:
+    explicit PermissionsVerifierServant(RouterDoor& door) : door_(door) {}
+    bool checkPermissions(std::string user, std::string password, std::string& reason,
+                          const Ice::Current& current) const override;
+
+  private:
+    RouterDoor& door_;
+};
+
+/// The same for who shows the router a certificate and gives no user: the certificate says who it is.
+class CertificateVerifierServant final : public Glacier2::SSLPermissionsVerifier {
+  public:
+    explicit CertificateVerifierServant(RouterDoor& door) : door_(door) {}
+    bool authorize(Glacier2::SSLInfo info, std::string& reason, const Ice::Current& current) const override;
+
+  private:
+    RouterDoor& door_;
+};
+
+class SessionManagerServant final : public Glacier2::SessionManager {
+  public:
+    explicit SessionManagerServant(RouterDoor& door) : door_(door) {}
+    /// Both sessions of a peer must be at one server: asked for one with another server's token, it passes
+    /// the request on to that one.
+    std::shared_ptr<Glacier2::SessionPrx> create(std::string user,
+                                                 std::shared_ptr<Glacier2::SessionControlPrx> control,
+                                                 const Ice::Current& current) override;
+
+  private:
+    RouterDoor& door_;
+};
+
+class CertificateSessionManagerServant final : public Glacier2::SSLSessionManager {
+  public:
+    explicit CertificateSessionManagerServant(RouterDoor& door) : door_(door) {}
+    std::shared_ptr<Glacier2::SessionPrx> create(Glacier2::SSLInfo info,
+                                                 std::shared_ptr<Glacier2::SessionControlPrx> control,
+                                                 const Ice::Current& current) override;
+
+  private:
+    RouterDoor& door_;
+};
+
+/// The door of a server whose sessions `make(lane, peer, who, display name)` makes, a shared_ptr of the
+/// servant; they are put on the lanes' own adapters. `verify` and `vouched` are those of Logins for this kind
+/// of peer. All that is named outlives what it returns.
+template <class SessionPrx, class ItsLane, class Make>
+RouterDoor makeDoor(ItsLane& data, const std::shared_ptr<Ice::ObjectAdapter>& data_adapter, ItsLane& signal,
+                    const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter, RouterConnections& routers,
+                    void (Logins::*verify)(LoginRequest, Logins::Answer),
+                    Result<LoggedIn> (Logins::*vouched)(const std::string&,
+                                                        const std::optional<PeerCertificate>&),
+                    Make make) {
+    auto* const logins = data.logins;
+    RouterDoor door{routers, {}, {}, {}, data.server, {}};
+    door.verify = [logins, verify](LoginRequest request, Logins::Answer answer) {
+        if (logins == nullptr) return answer(LoggedIn{});
+        (logins->*verify)(std::move(request), std::move(answer));
+    };
+    door.vouched = [logins, vouched](const std::string& user,
+                                     const std::optional<PeerCertificate>& certificate) -> Result<LoggedIn> {
+        if (logins == nullptr) return LoggedIn{};
+        return (logins->*vouched)(user, certificate);
+    };
+    door.open = [&data, &signal, data_adapter, signal_adapter, make = std::move(make)](
+                    Lane lane, const LoggedIn& who, const std::string& display_name,
+                    const std::shared_ptr<RoutedConnection>& peer) -> std::shared_ptr<Glacier2::SessionPrx> {
+        auto& its = lane == Lane::Signal ? signal : data;
+        return addSession<SessionPrx>(its, peer, make(its, peer, who, display_name),
+                                      lane == Lane::Signal ? signal_adapter : data_adapter);
+    };
+    return door;
+}
+
+/// The adapter for routers, with these servants; not active yet. Throws std::runtime_error where it cannot
+/// listen.
+std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
+                                                     const std::string& endpoint, RouterDoor& door);
+
+/// By name, of the stringified proxies of a configuration. Throws std::runtime_error with the mend.
+std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighboursOf(
+    const Ice::Communicator& communicator, const std::map<std::string, std::string>& proxies);
+
+}  // namespace axon::transport

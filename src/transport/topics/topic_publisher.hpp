@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "common/result.hpp"
+#include "common/snapshot.hpp"
+#include "transport/ice/communicator.hpp"
+#include "transport/outbox/callback_sender.hpp"
+
+namespace axon::transport {
+
+/// Where one of several servers publishes to: the topic, on a connection for each lane, and each neighbour
+/// straight, on one for each lane, too: for signals besides the topic and first, for messages that are for it
+/// alone instead of the topic. All that is sent is oneway and asynchronous, behind an Outbox for each of
+/// them, so that nobody who does not read holds up anybody.
+///
+/// States: nowhere ─ publishTo() ► there ─ publishTo({}) ► nowhere; the neighbours come and go by reach(),
+/// which leaves alone what leads where it led, for messages may wait there. A connection that failed stays
+/// closed until reopen(), which the owner calls now and then. Threads: any; sending reads immutable lists, of
+/// which each lane has its own.
+template <class Prx>
+class TopicPublisher {
+  public:
+    /// `data`, `signal`: of their connections; null where nothing will be published. `who` is for the log.
+    TopicPublisher(std::shared_ptr<Ice::Communicator> data, std::shared_ptr<Ice::Communicator> signal,
+                   std::string who)
+        : data_communicator_(std::move(data)),
+          signal_communicator_(std::move(signal)),
+          who_(std::move(who)) {}
+
+    /// The publishers of the topic, or its subscribers themselves, as stringified proxies; none: it is down.
+    void publishTo(const std::vector<std::string>& proxies) {
+        const std::lock_guard lock(changes_);
+        Places places;
+        for (const auto& proxy : proxies) places.push_back({{}, proxy});
+        store(data_, routes(*data_communicator_, places, "axon-topic", {}, {}));
+        store(signal_, routes(*signal_communicator_, places, "axon-topic-signal", signalLimits(), {}));
+    }
+    void reach(const std::vector<ServerAnnouncement>& neighbours) {
+        Places signals;
+        Places messages;
+        for (const auto& neighbour : neighbours) {
+            signals.push_back({neighbour.name, neighbour.signals});
+            if (!neighbour.messages.empty()) messages.push_back({neighbour.name, neighbour.messages});
+        }
+        const std::lock_guard lock(changes_);
+        store(direct_,
+              routes(*signal_communicator_, signals, "axon-direct", signalLimits(), *direct_.load()));
+        store(direct_data_,
+              routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
+    }
+    /// Gives those whose connection failed another one.
+    void reopen() {
+        const std::lock_guard lock(changes_);
+        for (auto* list : {&data_, &signal_, &direct_, &direct_data_}) {
+            const bool for_signals = list == &signal_ || list == &direct_;
+            auto all = *list->load();
+            bool changed = false;
+            for (auto& route : all) {
+                if (!route.sender->closed()) continue;
+                try {
+                    route.sender = sender(route.proxy, for_signals ? signalLimits() : OutboxLimits{});
+                } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
+                    return;
+                }
+                changed = true;
+            }
+            if (changed) store(*list, std::move(all));
+        }
+    }
+
+    /// By the topic. Arguments, and false, as of CallbackSender::send.
+    template <class... Arguments>
+    bool data(Arguments&&... arguments) const {
+        const auto routes = data_.load();  // held, for another may be stored meanwhile
+        bool taken = true;
+        for (const auto& route : *routes) taken = route.sender->send(arguments...) && taken;
+        return taken;
+    }
+    /// To each neighbour, then by the topic.
+    template <class... Arguments>
+    void signal(Arguments&&... arguments) const {
+        neighbours(arguments...);
+        const auto routes = signal_.load();  // held, for another may be stored meanwhile
+        for (const auto& route : *routes) route.sender->send(arguments...);
+    }
+    template <class... Arguments>
+    void neighbours(Arguments&&... arguments) const {
+        const auto routes = direct_.load();  // held, for another may be stored meanwhile
+        for (const auto& route : *routes) route.sender->send(arguments...);
+    }
+
+    /// To each neighbour, straight; on the data lane.
+    template <class... Arguments>
+    void neighboursData(Arguments&&... arguments) const {
+        const auto routes = direct_data_.load();
+        for (const auto& route : *routes) route.sender->send(arguments...);
+    }
+    /// To this server alone: straight, or by the topic while it is not reached.
+    template <class... Arguments>
+    bool one(const std::string& server, Arguments&&... arguments) const {
+        const auto taken = straight(Lane::Data, server, arguments...);
+        return taken ? *taken : data(arguments...);
+    }
+    /// To this neighbour, straight. Nothing where it is not reached.
+    template <class... Arguments>
+    std::optional<bool> straight(Lane lane, const std::string& server, Arguments&&... arguments) const {
+        const auto routes = (lane == Lane::Signal ? direct_ : direct_data_).load();
+        const auto found = std::find_if(routes->begin(), routes->end(),
+                                        [&](const Route& route) { return route.place.server == server; });
+        if (found == routes->end()) return std::nullopt;
+        return found->sender->send(std::forward<Arguments>(arguments)...);
+    }
+
+  private:
+    struct Place {
+        std::string server;  // empty: the topic
+        std::string proxy;
+        bool operator==(const Place&) const = default;
+    };
+    using Places = std::vector<Place>;
+    struct Route {
+        Place place;
+        std::shared_ptr<Prx> proxy;
+        std::shared_ptr<const CallbackSender<Prx>> sender;
+    };
+    using Routes = std::vector<Route>;
+
+    static OutboxLimits signalLimits() {
+        OutboxLimits limits;
+        limits.window_bytes = 64 * 1024;
+        return limits;
+    }
+    static void store(Snapshot<Routes>& to, Routes routes) {
+        to.store(std::make_shared<const Routes>(std::move(routes)));
+    }
+    std::shared_ptr<const CallbackSender<Prx>> sender(const std::shared_ptr<Prx>& proxy,
+                                                      OutboxLimits limits) const {
+        return std::make_shared<const CallbackSender<Prx>>(
+            proxy, limits, Until::Written, [who = who_](bool, const std::string& why) {
+                spdlog::warn("{}: what it publishes is not taken: {}", who, why);
+            });
+    }
+    Routes routes(Ice::Communicator& communicator, const Places& places, const std::string& connection,
+                  OutboxLimits limits, const Routes& before) const {
+        Routes routes;
+        for (const auto& place : places) {
+            const auto same = std::find_if(before.begin(), before.end(),
+                                           [&](const Route& route) { return route.place == place; });
+            if (same != before.end()) {
+                routes.push_back(*same);
+                continue;
+            }
+            try {
+                auto proxy = Ice::uncheckedCast<Prx>(communicator.stringToProxy(place.proxy))
+                                 ->ice_oneway()
+                                 ->ice_invocationTimeout(-1)
+                                 ->ice_connectionId(connection);
+                routes.push_back({place, proxy, sender(proxy, limits)});
+            } catch (const Ice::Exception& error) {
+                spdlog::warn("{}: '{}' is no proxy to publish to ({})", who_, place.proxy, error.ice_id());
+            }
+        }
+        return routes;
+    }
+
+    const std::shared_ptr<Ice::Communicator> data_communicator_;
+    const std::shared_ptr<Ice::Communicator> signal_communicator_;
+    const std::string who_;
+    std::mutex changes_;  // of the lists, one at a time
+    Snapshot<Routes> data_;
+    Snapshot<Routes> signal_;
+    Snapshot<Routes> direct_;
+    Snapshot<Routes> direct_data_;
+};
+
+/// Follows one control message to the network. Where it ends without having been written, `lost` is called:
+/// while the topic is down, when its connection fails, and when it still waited then. Copies of its
+/// shared_ptr travel in the message's call.
+class PublicationTicket {
+  public:
+    using Lost = std::function<void(const Header&)>;
+    PublicationTicket(const Lost& lost, const Header& head) : lost_(lost), head_(head) {}
+    ~PublicationTicket() {
+        if (!given_) fail();
+    }
+    PublicationTicket(const PublicationTicket&) = delete;
+    PublicationTicket& operator=(const PublicationTicket&) = delete;
+
+    /// To be given to the call in place of `failed`, and then given() is to be called.
+    static std::function<void(std::exception_ptr)> watch(const std::shared_ptr<PublicationTicket>& ticket,
+                                                         std::function<void(std::exception_ptr)> failed) {
+        return [ticket, failed = std::move(failed)](std::exception_ptr error) {
+            ticket->fail();
+            failed(std::move(error));
+        };
+    }
+    void given() { given_ = true; }
+    void fail() {
+        if (!settled_.exchange(true)) lost_(head_);
+    }
+    /// The caller says it instead. Whether there was anything to say.
+    bool take() { return !given_ && !settled_.exchange(true); }
+
+  private:
+    const Lost& lost_;  // outlives the communicators
+    const Header head_;
+    std::atomic<bool> given_{false};
+    std::atomic<bool> settled_{false};
+};
+
+}  // namespace axon::transport
