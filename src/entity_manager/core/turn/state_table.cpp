@@ -321,16 +321,21 @@ std::string stateDiagram() {
 std::string stateMachinePage() {
     std::string page =
         "# The state machine of the Entity Manager\n\n"
-        "This page is made from `src/entity_manager/core/turn/state_table.cpp`, which the Entity Manager "
-        "runs; a test "
-        "fails when "
-        "it is stale.\nTo make it anew: `AXON_RERECORD=1 build/dev/tests/entity_manager_core_test "
+        "This page is for everybody who wants to know what the Entity Manager does with an event.\n"
+        "At the end you know, for each event and each state, what happens or how it is refused.\n\n"
+        "The states are those of the thesis (3.3.1).\n"
+        "The latch of a stop is a flag beside them.\n"
+        "The [glossary](../glossary.md) explains words such as *latch*, *lease* and *run*.\n\n"
+        "A test generates this page from `src/entity_manager/core/turn/state_table.cpp`, which the Entity "
+        "Manager runs, and fails when the page is stale.\n"
+        "To write it again, run `AXON_RERECORD=1 build/dev/tests/entity_manager_core_test "
         "--gtest_filter='StateTable.*'`.\n\n"
-        "The states are those of the thesis (3.3.1). The latch of a stop is a flag beside them. A row "
-        "changes the state "
-        "first and then runs\nits actions in order. *previous* is the state from which BUSY was entered.\n\n"
         "```mermaid\n" +
-        stateDiagram() + "```\n\n## Rows\n\n| event | in | actions | next |\n|---|---|---|---|\n";
+        stateDiagram() +
+        "```\n\n## Rows\n\n"
+        "A row changes the state first and then runs its actions in order.\n"
+        "*previous* is the state from which BUSY was entered.\n\n"
+        "| event | in | actions | next |\n|---|---|---|---|\n";
     std::vector<bool> done(stateTable().size());
     const auto rows = stateTable();
     for (std::size_t i = 0; i < rows.size(); ++i) {
@@ -350,7 +355,7 @@ std::string stateMachinePage() {
         page += std::string("| ") + toString(rows[i].event) + " | " + states + " | " +
                 (actions.empty() ? "none" : actions) + " | " + toString(rows[i].next) + " |\n";
     }
-    page += "\n## Pairs without a row\n\nThey are refused to whoever asked, with this code.\n\n| request |";
+    page += "\n## Pairs without a row\n\nThe sender of the request is refused with this code.\n\n| request |";
     for (const auto state : kAllStates) page += std::string(" ") + axon::toString(state) + " |";
     page += "\n|---|";
     for (std::size_t i = 0; i < kStates; ++i) page += "---|";
@@ -368,9 +373,11 @@ std::string stateMachinePage() {
             page += std::string("| ") + toString(event) + " |" + line + '\n';
     }
     page +=
-        "\nFacts (what is not a request) that have no row are counted and change nothing.\n\n"
-        "## What a request must prove first\n\nWho may ask is in [Who may send an entity "
-        "what](../reference/rights.md). Then:\n\n"
+        "\nAn event that is not a request is a fact.\n"
+        "A fact without a row is counted and changes nothing.\n\n"
+        "## What a request must prove first\n\n"
+        "[Who may send an entity what](../reference/rights.md) says who may ask.\n"
+        "After that, the request must have seen the newest stop, or find the robot not latched:\n\n"
         "| request | newest stop seen | not latched |\n|---|---|---|\n";
     for (std::size_t e = 0; e < kEvents; ++e) {
         const auto event = static_cast<Event>(e);
