@@ -30,7 +30,7 @@ constexpr std::size_t kOwnDescriptors = 100;
 /// the connections that they have taken, and as much room again: a path that is opened anew has those of the
 /// old one beside it.
 std::size_t descriptorsOfEach(Variant variant) {
-    return variant == Variant::Direct ? 24 : variant == Variant::Robots ? 6 : 2;
+    return (isDirect(variant) ? 24 : 2) + (hasRobots(variant) ? 4 : 0);
 }
 /// A listener, two connections, what wakes its threads; and a connection that says Hello meanwhile.
 constexpr std::size_t kDescriptorsOfRobot = 8;
@@ -40,7 +40,7 @@ constexpr std::size_t kDescriptorsOfPath = 2;
 /// The variant, where this process, which is the client's, may have as many descriptors as it needs.
 Variant permitted(Variant variant, std::size_t n) {
     const auto needed = n * kDescriptorsOfPath + kOwnDescriptors;
-    if (variant == Variant::Direct && needed > descriptorsPermitted())
+    if (isDirect(variant) && needed > descriptorsPermitted())
         throw NotPermitted(std::to_string(n) + " direct paths need " + std::to_string(needed) +
                            " descriptors in the client's process, which may have " +
                            std::to_string(descriptorsPermitted()) + "; mend: ulimit -n");
@@ -133,7 +133,7 @@ Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_
             },
             "the entities did not start", kJoinTime);
     };
-    if (variant == Variant::Robots) {
+    if (hasRobots(variant)) {
         robots_.emplace((folder / (prefix + ".robots")).string(), n, true);
         start("robots", ".robots", kDescriptorsOfRobot, {}, *robots_);
     }
@@ -156,7 +156,7 @@ std::unique_ptr<client::Client> connectClient(client::Options options) {
 
 std::unique_ptr<client::Client> connectClient(const std::string& server, Variant variant) {
     auto options = fs::exists(server) ? configured(server) : patient();
-    options.direct = variant == Variant::Direct;
+    options.direct = isDirect(variant);
     options.direct_paths = 4096;
     if (!fs::exists(server)) options.server = server;
     return connectClient(std::move(options));
@@ -204,7 +204,7 @@ AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std
 }
 
 std::size_t AxonCrowd::relayed() const {
-    return variant_ != Variant::Direct
+    return !isDirect(variant_)
                ? 0
                : static_cast<std::size_t>(std::count_if(held_.begin(), held_.end(),
                                                         [](const auto& its) { return !its.direct(); }));

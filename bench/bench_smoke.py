@@ -6,8 +6,10 @@ may be lost, except where Axon is idle; what arrives is never corrupt.
 
     python3 bench/bench_smoke.py --bin build/dev/bin [unittest options]
 """
+import itertools
 import json
 import math
+import os
 import pathlib
 import shutil
 import signal
@@ -70,8 +72,9 @@ class BenchSmoke(unittest.TestCase):
         result = self.result("peers", "--entities", "1,4", "--batches", "3", "--pair-rounds", "1", "--plot", str(picture))
         skipped = {one["peer"] for one in result["skipped"]}
         systems = {"axon", "axon-direct", "raw", "raw-direct", "mosquitto-qos0", "mosquitto-qos1", "nats"} - skipped
-        self.assertEqual([(row["n"], row["what"]) for row in result["results"]],
-                         [(n, what) for n in (1, 4) for what in ("small", "data", "stop")])
+        where = ["one", "two"] if len(os.sched_getaffinity(0)) > 1 else ["one"]
+        self.assertEqual([(row["n"], row["what"], row["cores"]) for row in result["results"]],
+                         [(n, what, cores) for n in (1, 4) for what in ("small", "data", "stop") for cores in where])
         for row in result["results"]:
             self.assertEqual(row["bytes"], 35000 if row["what"] == "data" else 60)
             for system in systems:
@@ -83,16 +86,16 @@ class BenchSmoke(unittest.TestCase):
             self.assertLessEqual(row["axon-direct"]["relayed"], row["n"])
             self.assertEqual(row["axon"]["lost"], 0)
         for name, axon in (("geometric_mean_over_n", {"axon"}), ("geometric_mean_over_n_direct", {"axon", "axon-direct"})):
-            for system in systems - axon:
-                of = result[name][system]
+            for cores, system in itertools.product(where, systems - axon):
+                of = result[name][cores][system]
                 self.assertEqual(set(of), {"small", "data", "stop"})
                 for its in of.values():
                     self.assertEqual(its["n"]["mean"] == [1, 4], its["mean"] is not None, its)
         self.assertEqual(set(result["corrupt"].values()), {0})
         self.assertEqual(result["corrupt_or_misplaced"]["axon"], 0)
-        pairs = [f"{way} {what}" for way in ("axon", "axon-direct") for what in ("text, 60 bytes", "text, 35000 bytes", "drill")]
-        for pair in ["raw, 60 bytes", "raw, 35000 bytes", *pairs]:
-            trips = result["pairs"][pair]
+        pairs = [f"{way} {what}" for way in ("axon", "axon-direct", "axon-robots", "axon-direct-robots") for what in ("text, 60 bytes", "text, 35000 bytes", "drill")]
+        for cores, pair in itertools.product(where, ["raw, 60 bytes", "raw, 35000 bytes", *pairs]):
+            trips = result["pairs"][cores][pair]
             self.assertEqual(trips["n"], 500)
             self.assertTrue(0 <= trips["lost"] <= 500)
             if "cyclonedds" not in skipped and trips["lost"] < 250:

@@ -1,17 +1,21 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <gtest/gtest.h>
 
+#include <sched.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <filesystem>
+#include <future>
 #include <limits>
+#include <thread>
 
 #include "board.hpp"
 #include "child.hpp"
 #include "contender.hpp"
 #include "ddsperf.hpp"
 #include "nats_peer.hpp"
+#include "placement.hpp"
 #include "report.hpp"
 
 namespace axon::bench {
@@ -34,6 +38,57 @@ TEST(BenchContent, ShortContentIsTheBeginningOfTheLong) {
     const auto bytes = content(kSmallBytes);
     EXPECT_EQ(bytes, content(kDataBytes).substr(0, kSmallBytes));
     EXPECT_EQ(readContent(bytes.data(), bytes.size()), 0U);
+}
+
+/// How many cores a process may use.
+int coresOfProcess(pid_t process) {
+    cpu_set_t set;
+    return ::sched_getaffinity(process, sizeof(set), &set) == 0 ? CPU_COUNT(&set) : 0;
+}
+bool share(pid_t one, pid_t other) {
+    cpu_set_t its, others, both;
+    ::sched_getaffinity(one, sizeof(its), &its);
+    ::sched_getaffinity(other, sizeof(others), &others);
+    CPU_AND(&both, &its, &others);
+    return CPU_COUNT(&both) > 0;
+}
+
+TEST(BenchPlacement, MovesEveryThreadOfThisProcessAndItsChildrenAndPutsThemBack) {
+    const auto before = coresOfProcess(0);
+    const WorkFolder work;
+    const Child child({"sleep", "60"}, work.sub("child") / "log");
+    std::promise<void> end;
+    std::promise<pid_t> begun;
+    std::thread thread([&] {
+        begun.set_value(::gettid());
+        end.get_future().wait();
+    });
+    const auto other = begun.get_future().get();
+    {
+        Placement placement;
+        placement.apply(Cores::One);
+        for (const auto process : {0, other, child.pid()}) EXPECT_EQ(coresOfProcess(process), 1);
+        EXPECT_TRUE(share(0, child.pid()));
+        if (placement.permits(Cores::Two)) {
+            placement.apply(Cores::Two);
+            for (const auto process : {0, other, child.pid()}) EXPECT_EQ(coresOfProcess(process), 1);
+            EXPECT_TRUE(share(0, other));
+            EXPECT_FALSE(share(0, child.pid()));
+            const Child sender({"sleep", "60"}, work.sub("sender") / "log", {}, placement.asSender());
+            const Child receiver({"sleep", "60"}, work.sub("receiver") / "log", {}, placement.asReceiver());
+            sender.waitUntil([&] { return !share(sender.pid(), receiver.pid()); }, "they share a core",
+                             std::chrono::seconds{10});
+            EXPECT_TRUE(share(0, sender.pid()));
+        }
+    }
+    for (const auto process : {0, other, child.pid()}) EXPECT_EQ(coresOfProcess(process), before);
+    end.set_value();
+    thread.join();
+}
+
+TEST(BenchPlacement, ItsNamesAreThoseOfTheOption) {
+    for (const auto cores : {Cores::Any, Cores::One, Cores::Two}) EXPECT_EQ(coresOf(nameOf(cores)), cores);
+    EXPECT_THROW(coresOf("three"), std::invalid_argument);
 }
 
 TEST(BenchSlot, ALostMessageIsMisplacedAndACorruptOneHasNotArrived) {

@@ -197,7 +197,7 @@ int runCrowd(const CrowdWish& wish) {
             executor.get_executor(), ice, settings, server,
             [&](const EntityManager::Strand& strand, const StopCounter& stop_counter, const Clock&,
                 BackEndEvents& events) {
-                if (wish.variant == Variant::Robots) {
+                if (hasRobots(wish.variant)) {
                     BackEndSettings settings_of_link;
                     settings_of_link.application = name;
                     settings_of_link.manager = name;
@@ -214,7 +214,7 @@ int runCrowd(const CrowdWish& wish) {
                 return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
             },
             clock, member.random, member.storage, member.storage);
-        if (wish.variant == Variant::Direct) {
+        if (isDirect(wish.variant)) {
             DirectSettings direct;
             direct.offered = true;
             member.manager->offerDirect(direct);

@@ -7,12 +7,19 @@ namespace axon::bench {
 
 /// What the Entity Managers of a crowd are, and which way messages take to them.
 enum class Variant : std::uint8_t {
-    Relayed,  ///< by the servers; the link to the robot application is in memory
-    Direct,   ///< they offer a direct path, and the client takes it
-    Robots,   ///< as Relayed, and each has a robot application with a real Entity Interfacer, in another
-              ///< process
-    Open,     ///< no Entity Managers but OpenEntity, which many clients hold at once
+    Relayed,       ///< by the servers; the link to the robot application is in memory
+    Direct,        ///< they offer a direct path, and the client takes it
+    Robots,        ///< as Relayed, and each has a robot application with a real Entity Interfacer, in another
+                   ///< process
+    DirectRobots,  ///< both: the direct path, and real robot applications
+    Open,          ///< no Entity Managers but OpenEntity, which many clients hold at once
 };
+inline constexpr bool isDirect(Variant variant) {
+    return variant == Variant::Direct || variant == Variant::DirectRobots;
+}
+inline constexpr bool hasRobots(Variant variant) {
+    return variant == Variant::Robots || variant == Variant::DirectRobots;
+}
 
 struct CrowdWish {
     std::string board_file;

@@ -64,13 +64,15 @@ std::vector<DdsperfSecond> readAll(const std::filesystem::path& log) {
 
 }  // namespace
 
-std::vector<DdsperfSecond> pingPong(const std::filesystem::path& folder, std::size_t bytes, int seconds) {
+std::vector<DdsperfSecond> pingPong(const std::filesystem::path& folder, std::size_t bytes, int seconds,
+                                    const Placement& placement) {
     // The ports of greater domains lie among those that the kernel gives to others.
     const auto domain = std::to_string(1 + ::getpid() % 100);
     const auto program = findProgram("ddsperf");
-    const Child pong({program, "-i", domain, "pong"}, folder / "pong.log", {kLoopback});
+    const Child pong({program, "-i", domain, "pong"}, folder / "pong.log", {kLoopback},
+                     placement.asReceiver());
     const Child ping({program, "-i", domain, "ping", "size", std::to_string(bytes)}, folder / "ping.log",
-                     {kLoopback});
+                     {kLoopback}, placement.asSender());
     std::vector<DdsperfSecond> all;
     const auto wait = [&](std::size_t lines, std::chrono::seconds time) {
         for (const auto end = std::chrono::steady_clock::now() + time;

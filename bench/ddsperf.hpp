@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "placement.hpp"
+
 namespace axon::bench {
 
 /// One second of CycloneDDS's own benchmark, as it prints it: halves of round trips. (It does not say so, but
@@ -21,7 +23,9 @@ std::optional<DdsperfSecond> readDdsperf(const std::string& line);
 
 /// `ddsperf ping` and `ddsperf pong`, two processes on loopback, tightly one round trip after the other. So
 /// many seconds after the first one with round trips, in which they find each other; fewer when it ends.
-/// Throws std::runtime_error with the log when there are none.
-std::vector<DdsperfSecond> pingPong(const std::filesystem::path& folder, std::size_t bytes, int seconds);
+/// Placed as what is measured beside it: ping sends. Throws std::runtime_error with the log when there are
+/// none.
+std::vector<DdsperfSecond> pingPong(const std::filesystem::path& folder, std::size_t bytes, int seconds,
+                                    const Placement& placement);
 
 }  // namespace axon::bench

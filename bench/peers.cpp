@@ -15,12 +15,13 @@
 #include "ddsperf.hpp"
 #include "experiment.hpp"
 #include "picture.hpp"
+#include "placement.hpp"
 #include "raw_router.hpp"
 #include "report.hpp"
 
 // The same work for Axon and for each peer, in the same run, in turns: one sender, N receivers, a message to
-// each of them back to back, latency of each from the start of the batch. Method:
-// docs/reference/benchmarks.md.
+// each of them back to back, latency of each from the start of the batch; all on one core, and on two.
+// Method: docs/reference/benchmarks.md.
 
 namespace axon::bench {
 
@@ -43,6 +44,7 @@ struct Wish {
     int batches = 30;
     double seconds = 0;
     std::vector<std::string> only, of;
+    std::vector<std::string> cores;  // empty: one, and two where there are two
     std::vector<std::string> beside;
     int pair_rounds = 3;
     std::string json, plot;
@@ -75,8 +77,8 @@ void runBatch(Contender& contender, Message message, std::string& bytes, bool co
 
 class Comparison {
   public:
-    Comparison(const Wish& wish, Report& report, const WorkFolder& work)
-        : wish_(wish), report_(report), work_(work) {}
+    Comparison(const Wish& wish, Report& report, const WorkFolder& work, Placement& placement)
+        : wish_(wish), report_(report), work_(work), placement_(placement) {}
 
     void run() {
         std::printf(
@@ -84,20 +86,24 @@ class Comparison {
             "to warm up.\n",
             wish_.seconds > 0 ? "a while" : (std::to_string(wish_.batches) + " batches").c_str(), kWarmUp);
         std::printf(
-            "%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the "
+            "%6s %-5s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the "
             "batches); by direct paths\n",
-            "N", "what", "", "mean", "p50", "p99", "p99.9", "max", "last", "lost");
+            "N", "what", "cores", "", "mean", "p50", "p99", "p99.9", "max", "last", "lost");
         for (const auto n : wish_.sizes) {
             if (interrupted) return;
+            placement_.apply(Cores::Any);  // who starts is not measured
             const auto all = start(n);
             if (all.empty()) continue;
             for (const auto message :
                  {Message::Small, Message::Data, Message::Stop}) {  // a stopped entity refuses data
-                if (interrupted) break;
                 if (!wish_.of.empty() &&
                     std::find(wish_.of.begin(), wish_.of.end(), nameOf(message)) == wish_.of.end())
                     continue;
-                measure(n, message, all);
+                for (const auto& cores : wish_.cores) {
+                    if (interrupted) break;
+                    placement_.apply(coresOf(cores));
+                    measure(n, message, all);
+                }
             }
             for (const auto& one : all) {
                 bad_[one->name] += one->bad();
@@ -111,14 +117,14 @@ class Comparison {
         }
     }
 
-    /// {peer: {message: {"mean", "last", "n": {"mean": […], "last": […]}}}}: over which N. Null where one of
-    /// them has no finite ratio.
+    /// {cores: {peer: {message: {"mean", "last", "n": {"mean": […], "last": […]}}}}}: over which N. Null
+    /// where one of them has no finite ratio.
     nlohmann::json geometric(const std::string& axon) const {
         nlohmann::json all = nlohmann::json::object();
         for (const auto& [key, its] : ratios_) {
-            const auto& [of, peer, message, what] = key;
+            const auto& [of, cores, peer, message, what] = key;
             if (of != axon) continue;
-            auto& to = all[peer][message];
+            auto& to = all[cores][peer][message];
             to["n"][what] = its.n();
             to[what] = its.mean();
         }
@@ -163,6 +169,7 @@ class Comparison {
 
     void measure(std::size_t n, Message message, const std::vector<std::unique_ptr<Contender>>& all) {
         auto bytes = content(bytesOf(message));
+        const std::string cores = nameOf(placement_.applied());
         for (const auto& one : all) {
             one->series = {};
             one->relayed = 0;
@@ -172,8 +179,8 @@ class Comparison {
         const auto end = wish_.seconds > 0 ? nowNs() + static_cast<std::int64_t>(wish_.seconds * 1e9) : 0;
         for (int round = -kWarmUp;
              !interrupted && (round <= 0 || (end != 0 ? nowNs() < end : round < wish_.batches)); ++round) {
-            progress("peers: " + std::to_string(n) + " receivers, " + nameOf(message) + ": batch " +
-                     std::to_string(std::max(round + 1, 0)) +
+            progress("peers: " + std::to_string(n) + " receivers, " + nameOf(message) + ", " + cores +
+                     " cores: batch " + std::to_string(std::max(round + 1, 0)) +
                      (end != 0 ? "" : " of " + std::to_string(wish_.batches)));
             // In another order each time: nobody is always behind the same one.
             std::shuffle(order.begin(), order.end(), random_);
@@ -183,13 +190,13 @@ class Comparison {
             }
         }
         progress("");
-        nlohmann::json row{{"n", n}, {"what", nameOf(message)}, {"bytes", bytes.size()}};
+        nlohmann::json row{{"n", n}, {"what", nameOf(message)}, {"cores", cores}, {"bytes", bytes.size()}};
         for (const auto& one : all) {
             auto its = one->series.json();
-            std::printf("%6zu %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), one->name.c_str(),
-                        figure(its, "mean").c_str(), figure(its, "p50").c_str(), figure(its, "p99").c_str(),
-                        figure(its, "p99.9").c_str(), figure(its, "max").c_str(), figure(its, "last").c_str(),
-                        one->series.lost());
+            std::printf("%6zu %-5s %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), cores.c_str(),
+                        one->name.c_str(), figure(its, "mean").c_str(), figure(its, "p50").c_str(),
+                        figure(its, "p99").c_str(), figure(its, "p99.9").c_str(), figure(its, "max").c_str(),
+                        figure(its, "last").c_str(), one->series.lost());
             if (isAxon(one->name) && one->series.lost() > 0) sound_ = false;
             if (variantOf(one->name) == Variant::Direct) its["relayed"] = one->relayed;
             for (const auto& axon : all) {
@@ -202,7 +209,7 @@ class Comparison {
                     const auto ratio = spread(ratios(*ours, *theirs));
                     its[ratioOf(axon->name)][what] = ratio;
                     if (ours->empty() || theirs->empty()) continue;  // interrupted before
-                    ratios_[{axon->name, one->name, nameOf(message), what}].add(n, ratio);
+                    ratios_[{axon->name, cores, one->name, nameOf(message), what}].add(n, ratio);
                     std::printf("   %s (%s to %s)", figure(ratio, "median", 0).c_str(),
                                 figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
                 }
@@ -222,8 +229,9 @@ class Comparison {
     const Wish& wish_;
     Report& report_;
     const WorkFolder& work_;
-    std::map<std::tuple<std::string, std::string, std::string, std::string>, MeanOverN>
-        ratios_;  // Axon's, peer, message, mean or last
+    Placement& placement_;
+    std::map<std::tuple<std::string, std::string, std::string, std::string, std::string>, MeanOverN>
+        ratios_;  // Axon's, cores, peer, message, mean or last
     std::map<std::string, std::uint64_t> bad_, corrupt_;
     nlohmann::json ended_ = nlohmann::json::array();
     bool sound_ = true;
@@ -310,53 +318,72 @@ std::string texts(AxonCrowd& axon, std::size_t bytes, std::size_t count, std::ve
     return game->bad;
 }
 
-Pairs pairs(const WorkFolder& work, int rounds, bool with_dds) {
-    Pairs out;
-    AxonCrowd relayed(work.sub("axon-pair"), 1), direct(work.sub("axon-direct-pair"), 1, Variant::Direct);
-    const RawPair raw(work.sub("raw-pair"));
+/// The systems of which pairs are measured, each started once.
+struct PairsUnderTest {
+    explicit PairsUnderTest(const WorkFolder& work)
+        : relayed(work.sub("axon-pair"), 1),
+          direct(work.sub("axon-direct-pair"), 1, Variant::Direct),
+          robots(work.sub("axon-robots-pair"), 1, Variant::Robots),
+          direct_robots(work.sub("axon-direct-robots-pair"), 1, Variant::DirectRobots),
+          raw(work.sub("raw-pair")) {}
+    AxonCrowd relayed, direct, robots, direct_robots;
+    RawPair raw;
+};
+
+constexpr int kPairSeconds = 2, kTrips = 500, kWarmTrips = 100;
+
+/// Round trips of one placement: in microseconds, and ddsperf's seconds.
+struct Trips {
+    std::map<std::string, std::vector<double>> times;
     std::map<std::size_t, std::vector<DdsperfSecond>> dds;
-    std::map<std::string, std::vector<double>> trips;
-    constexpr int kSeconds = 2, kTrips = 500, kWarm = 100;
-    for (int round = 0; round < rounds && !interrupted; ++round) {
-        progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " +
-                 std::to_string(rounds));
-        for (const auto bytes : {kSmallBytes, kDataBytes}) {
-            if (interrupted || !with_dds || !out.no_dds.empty()) break;
-            try {
-                const auto seconds = pingPong(work.sub("ddsperf"), bytes, kSeconds);
-                dds[bytes].insert(dds[bytes].end(), seconds.begin(), seconds.end());
-            } catch (const std::exception& problem) {
-                out.no_dds = problem.what();
-            }
+};
+
+std::string bytesName(std::size_t bytes) {
+    return std::to_string(bytes) + " bytes";
+}
+
+void measurePairs(PairsUnderTest& systems, const WorkFolder& work, const Placement& placement, bool with_dds,
+                  Trips& trips, Pairs& out) {
+    for (const auto bytes : {kSmallBytes, kDataBytes}) {
+        if (interrupted || !with_dds || !out.no_dds.empty()) break;
+        try {
+            const auto seconds = pingPong(work.sub("ddsperf"), bytes, kPairSeconds, placement);
+            trips.dds[bytes].insert(trips.dds[bytes].end(), seconds.begin(), seconds.end());
+        } catch (const std::exception& problem) {
+            out.no_dds = problem.what();
         }
-        for (const auto bytes : {kSmallBytes, kDataBytes}) {
-            std::vector<double> warm;
-            raw.trips(bytes, kWarm, warm);
-            raw.trips(bytes, kTrips, trips["raw, " + std::to_string(bytes) + " bytes"]);
-        }
-        for (const auto& [way, crowd] : {std::pair{"axon", &relayed}, std::pair{"axon-direct", &direct}}) {
-            if (interrupted || !out.bad.empty()) break;
-            std::vector<double> warm;
-            for (const auto bytes : {kSmallBytes, kDataBytes}) {
-                if (out.bad.empty()) out.bad = texts(*crowd, bytes, kWarm, warm);
-                if (out.bad.empty())
-                    out.bad = texts(*crowd, bytes, kTrips,
-                                    trips[std::string(way) + " text, " + std::to_string(bytes) + " bytes"]);
-            }
-            if (out.bad.empty()) out.bad = drills(*crowd, kWarm, warm);
-            if (out.bad.empty()) out.bad = drills(*crowd, kTrips, trips[std::string(way) + " drill"]);
-            if (std::count(warm.begin(), warm.end(), kNever) > 0) out.lost = true;
-            if (crowd->relayed() > 0) out.relayed = true;
-        }
-        if (interrupted || !out.bad.empty()) break;
     }
-    if (interrupted) out.bad.clear();
-    progress("");
-    auto& all = out.figures;
+    for (const auto bytes : {kSmallBytes, kDataBytes}) {
+        std::vector<double> warm;
+        systems.raw.trips(bytes, kWarmTrips, warm);
+        systems.raw.trips(bytes, kTrips, trips.times["raw, " + bytesName(bytes)]);
+    }
+    for (const auto& [way, crowd] :
+         {std::pair{"axon", &systems.relayed}, std::pair{"axon-direct", &systems.direct},
+          std::pair{"axon-robots", &systems.robots},
+          std::pair{"axon-direct-robots", &systems.direct_robots}}) {
+        if (interrupted || !out.bad.empty()) break;
+        const std::string name = way;
+        std::vector<double> warm;
+        for (const auto bytes : {kSmallBytes, kDataBytes}) {
+            if (out.bad.empty()) out.bad = texts(*crowd, bytes, kWarmTrips, warm);
+            if (out.bad.empty())
+                out.bad = texts(*crowd, bytes, kTrips, trips.times[name + " text, " + bytesName(bytes)]);
+        }
+        if (out.bad.empty()) out.bad = drills(*crowd, kWarmTrips, warm);
+        if (out.bad.empty()) out.bad = drills(*crowd, kTrips, trips.times[name + " drill"]);
+        if (std::count(warm.begin(), warm.end(), kNever) > 0) out.lost = true;
+        if (crowd->relayed() > 0) out.relayed = true;
+    }
+}
+
+/// {system and content: {"n", "p50_us", "p99_us", "lost", "by_cyclonedds"}}.
+nlohmann::json figuresOf(Trips& trips, Pairs& out) {
+    nlohmann::json all = nlohmann::json::object();
     const auto row = [&](const std::string& name, std::size_t n, double p50, double p99) -> nlohmann::json& {
         return all[name] = {{"n", n}, {"p50_us", p50}, {"p99_us", p99}};
     };
-    for (const auto& [bytes, seconds] : dds) {
+    for (const auto& [bytes, seconds] : trips.dds) {
         std::vector<double> p50, p99;
         double busy = 0;
         std::size_t count = 0;
@@ -369,37 +396,79 @@ Pairs pairs(const WorkFolder& work, int rounds, bool with_dds) {
         if (p50.empty()) continue;
         std::sort(p50.begin(), p50.end());
         std::sort(p99.begin(), p99.end());
-        auto& its = row("cyclonedds, " + std::to_string(bytes) + " bytes", count, quantile(p50, 0.5),
-                        quantile(p99, 0.5));
+        auto& its = row("cyclonedds, " + bytesName(bytes), count, quantile(p50, 0.5), quantile(p99, 0.5));
         // One round trip after the other: together they take the time that has passed, or these are not round
         // trips.
         its["seconds"] = seconds.size();
         its["busy_seconds"] = busy;
     }
-    const std::string to = "cyclonedds, " + std::to_string(kSmallBytes) + " bytes",
-                      to_data = "cyclonedds, " + std::to_string(kDataBytes) + " bytes";
-    for (auto& [name, times] : trips) {
+    const auto to = "cyclonedds, " + bytesName(kSmallBytes), to_data = "cyclonedds, " + bytesName(kDataBytes);
+    for (auto& [name, times] : trips.times) {
         std::sort(times.begin(), times.end());
         auto& its = row(name, times.size(), quantile(times, 0.5), quantile(times, 0.99));
         its["lost"] = std::count(times.begin(), times.end(), kNever);
         if (its["lost"] > 0) out.lost = true;
-        const auto& beside = name.ends_with(std::to_string(kDataBytes) + " bytes") ? to_data : to;
+        const auto& beside = name.ends_with(bytesName(kDataBytes)) ? to_data : to;
         if (all.contains(beside))
             its["by_cyclonedds"] = its["p50_us"].get<double>() / all[beside]["p50_us"].get<double>();
     }
-    std::printf("Round trip of one pair, us                 p50       p99   it / CycloneDDS, p50\n");
-    for (const auto& [name, its] : all.items()) {
-        std::printf("%-36s %9.1f %9.1f", name.c_str(), its["p50_us"].get<double>(),
+    return all;
+}
+
+void print(const nlohmann::json& figures, const std::string& cores) {
+    std::printf("Round trip of one pair, us; cores: %-5s         p50       p99   it / CycloneDDS, p50\n",
+                cores.c_str());
+    for (const auto& [name, its] : figures.items()) {
+        std::printf("%-42s %9.1f %9.1f", name.c_str(), its["p50_us"].get<double>(),
                     its["p99_us"].get<double>());
         if (its.contains("by_cyclonedds")) std::printf("   %.2f", its["by_cyclonedds"].get<double>());
         std::printf("\n");
     }
+}
+
+/// In turns: in each round every system on the first choice of cores, then on the next.
+Pairs pairs(const WorkFolder& work, const Wish& wish, Placement& placement, bool with_dds) {
+    Pairs out;
+    placement.apply(Cores::Any);
+    PairsUnderTest systems(work);
+    std::map<std::string, Trips> trips;
+    for (int round = 0; round < wish.pair_rounds && !interrupted && out.bad.empty(); ++round)
+        for (const auto& cores : wish.cores) {
+            progress("peers: round trips of a pair, " + cores + " cores: round " + std::to_string(round + 1) +
+                     " of " + std::to_string(wish.pair_rounds));
+            placement.apply(coresOf(cores));
+            measurePairs(systems, work, placement, with_dds, trips[cores], out);
+        }
+    placement.apply(Cores::Any);
+    if (interrupted) out.bad.clear();
+    progress("");
+    for (const auto& cores : wish.cores) {
+        out.figures[cores] = figuresOf(trips[cores], out);
+        print(out.figures[cores], cores);
+    }
     return out;
 }
 
-int run(const Wish& wish) {
+/// The choices of cores, where those of the default that this machine does not have are left out.
+std::vector<std::string> coresOf(const Wish& wish, const Placement& placement) {
+    if (!wish.cores.empty()) {
+        for (const auto& cores : wish.cores)
+            if (!placement.permits(coresOf(cores)))
+                throw NotPermitted("--cores " + cores +
+                                   " needs two cores, and this process may use one; fix: --cores one");
+        return wish.cores;
+    }
+    if (placement.permits(Cores::Two)) return {nameOf(Cores::One), nameOf(Cores::Two)};
+    std::printf("Only one core is permitted here, so nothing is measured on two.\n");
+    return {nameOf(Cores::One)};
+}
+
+int run(Wish wish) {
+    Placement placement;
+    wish.cores = coresOf(wish, placement);
     Report report(wish.json, "peers",
                   {{"entities", wish.sizes},
+                   {"cores", wish.cores},
                    {"batches", wish.batches},
                    {"seconds", wish.seconds},
                    {"warm_up", kWarmUp},
@@ -417,13 +486,12 @@ int run(const Wish& wish) {
     reportPeers(report, wanted);
 
     const WorkFolder work;
-    Comparison comparison(wish, report, work);
+    Comparison comparison(wish, report, work, placement);
     carryOut([&] { comparison.run(); });
     bool sound = comparison.sound();
     if (wants_pairs && !interrupted) {
         try {
-            const auto its =
-                pairs(work, wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
+            const auto its = pairs(work, wish, placement, report.all().at("versions").contains("cyclonedds"));
             report.set("pairs", its.figures);
             if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
             if (!its.bad.empty()) std::cerr << "round trips of a pair: " << its.bad << "\n";
@@ -441,11 +509,15 @@ int run(const Wish& wish) {
     for (const std::string axon : {"axon", "axon-direct"}) {
         const auto geometric = comparison.geometric(axon);
         report.set(axon == "axon" ? "geometric_mean_over_n" : "geometric_mean_over_n_direct", geometric);
-        for (const auto& [name, of] : geometric.items())
-            for (const auto& [what, its] : of.items())
-                std::printf("%-11s / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n",
-                            axon.c_str(), name.c_str(), what.c_str(), figure(its, "mean", 5).c_str(),
-                            figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
+        for (const auto& [cores, peers_there] : geometric.items())
+            for (const auto& [name, of] : peers_there.items())
+                for (const auto& [what, its] : of.items())
+                    std::printf(
+                        "%-11s / %-15s %-5s cores: %-3s geometric mean over N: mean %s, last %s; of N in "
+                        "%s\n",
+                        axon.c_str(), name.c_str(), what.c_str(), cores.c_str(),
+                        figure(its, "mean", 5).c_str(), figure(its, "last", 5).c_str(),
+                        its["n"]["last"].dump().c_str());
     }
     std::uint64_t axon_bad = 0;
     for (const auto& [name, count] : comparison.bad()) {
@@ -507,6 +579,13 @@ Experiment declarePeers(CLI::App& app) {
         ->delimiter(',')
         ->check(CLI::IsMember({"small", "data", "stop"}).description(""))
         ->type_name("KIND,…");
+    command
+        ->add_option("--cores", wish->cores,
+                     "Where everything runs: on one core; the sender on one and the rest on another; any "
+                     "[one,two]")
+        ->delimiter(',')
+        ->check(CLI::IsMember({"one", "two", "any"}).description(""))
+        ->type_name("WHERE,…");
     command->add_option("--only", wish->only, "Only these peers")
         ->delimiter(',')
         ->check(CLI::IsMember(names).description(""))

@@ -123,22 +123,25 @@ bool isSystem(const nlohmann::json& of) {
 
 void drawPeers(const nlohmann::json& report, const std::string& file) {
     std::vector<Panel> panels;
-    for (const auto* what : {"small", "data", "stop"})
-        for (const auto* key : {"mean", "last"}) {
-            Panel panel{std::string(what) + ", " + (key[0] == 'm' ? "mean" : "last of the batch (median)"),
-                        "receivers",
-                        "ms from the start of the batch",
-                        {}};
-            std::map<std::string, Curve> curves;
-            for (const auto& row : report.at("results")) {
-                if (row.at("what") != what) continue;
-                for (const auto& [name, its] : row.items())
-                    if (isSystem(its)) addPoint(curves[name], row.at("n"), its, key);
+    for (const auto& cores : report.at("settings").at("cores"))
+        for (const auto* what : {"small", "data", "stop"})
+            for (const auto* key : {"mean", "last"}) {
+                Panel panel{std::string(what) + ", " +
+                                (key[0] == 'm' ? "mean" : "last of the batch (median)") +
+                                "; cores: " + cores.get<std::string>(),
+                            "receivers",
+                            "ms from the start of the batch",
+                            {}};
+                std::map<std::string, Curve> curves;
+                for (const auto& row : report.at("results")) {
+                    if (row.at("what") != what || row.at("cores") != cores) continue;
+                    for (const auto& [name, its] : row.items())
+                        if (isSystem(its)) addPoint(curves[name], row.at("n"), its, key);
+                }
+                for (auto& [name, curve] : curves)
+                    panel.curves.push_back({name, std::move(curve.points), false, curve.some_lost});
+                panels.push_back(std::move(panel));
             }
-            for (auto& [name, curve] : curves)
-                panel.curves.push_back({name, std::move(curve.points), false, curve.some_lost});
-            panels.push_back(std::move(panel));
-        }
     draw(panels, file);
 }
 

@@ -81,6 +81,9 @@ int runRobots(const std::string& board_file, std::size_t slots, std::size_t firs
             const auto now = nowNs();
             for (const auto& block : blocks) slot.arrived(Kind::Data, now, block.data(), block.size());
         });
+        robot.onText([&robot](const std::string& text, const std::string&) {
+            robot.sendInfoMsg(text);  // an echo, for round trips
+        });
         robot.start();
     }
     ++board.ready();

@@ -22,7 +22,7 @@ RobotPlace robotPlace(pid_t run, std::size_t index);
 
 /// Applications PREFIX-FIRST … in one process, each with an Entity Interfacer of its own (and its three
 /// threads) and nothing behind it. Each notes on a board when its callbacks begin: data by its number, a stop
-/// by its generation. Runs until its parent dies.
+/// by its generation. A text is sent back. Runs until its parent dies.
 int runRobots(const std::string& board_file, std::size_t slots, std::size_t first, std::size_t count,
               const std::string& prefix);
 

@@ -32,27 +32,37 @@ def table(heads, rows):
 
 
 def peers(result):
-    for what in ("small", "data", "stop"):
-        print(f"**{what}**: mean / last in ms")
-        print()
-        rows = [row for row in result["results"] if row["what"] == what]
-        table(["N", *SYSTEMS], [[row["n"], *(cell(row.get(one), "mean", "last") for one in SYSTEMS)] for row in rows])
-        print(f"**{what}**: Axon / the other, mean / last, medians of the batches")
-        print()
-        pairs = [("axon", "ratio", other) for other in SYSTEMS[2:6]] + [("axon-direct", "ratio_direct", other) for other in ("mosquitto-qos0", "raw-direct")]
+    for cores in result["settings"]["cores"]:
+        for what in ("small", "data", "stop"):
+            peers_table(result, cores, what)
+    trips = {(name, cores): its for cores, all_of_them in result.get("pairs", {}).items() for name, its in all_of_them.items()}
+    where = result["settings"]["cores"]
+    rows = []
+    for name in sorted({name for name, _ in trips}, key=lambda one: min(trips[one, cores]["p50_us"] for cores in where if (one, cores) in trips)):
+        of = [trips.get((name, cores)) for cores in where]
+        beside = [figure(its["by_cyclonedds"]) if its and "by_cyclonedds" in its else "1" if name.startswith("cyclonedds") else "–" for its in of]
+        rows.append([name, max(its["n"] for its in of if its), *(cell(its, "p50_us", "p99_us") for its in of), *beside])
+    table(["round trip", "n", *(f"{cores}: p50 / p99 µs" for cores in where), *(f"{cores}: p50 / CycloneDDS" for cores in where)], rows)
 
-        def ratio(row, key, other):
-            of = row.get(other, {}).get(key)
-            return f"{cell(of['mean'], 'median')} / {cell(of['last'], 'median')}" if of else "–"
 
-        def geometric(axon, other):
-            of = result.get("geometric_mean_over_n" + ("_direct" if axon == "axon-direct" else ""), {}).get(other, {}).get(what, {})
-            return f"{figure(of['mean'])} / {figure(of['last'])}" if of.get("mean") and of.get("last") else "–"
-        last = ["geometric mean", *(geometric(axon, other) for axon, _, other in pairs)]
-        table(["N", *(f"{axon} / {other}" for axon, _, other in pairs)], [*([row["n"], *(ratio(row, key, other) for _, key, other in pairs)] for row in rows), last])
-    table(["round trip", "n", "p50 µs", "p99 µs", "p50 / CycloneDDS"],
-          [[name, its["n"], figure(its["p50_us"], 1), figure(its["p99_us"], 1), figure(its["by_cyclonedds"]) if "by_cyclonedds" in its else "1" if name.startswith("cyclonedds") else "–"]
-           for name, its in sorted(result.get("pairs", {}).items(), key=lambda one: one[1]["p50_us"])])
+def peers_table(result, cores, what):
+    print(f"**{what}, cores: {cores}**: mean / last in ms")
+    print()
+    rows = [row for row in result["results"] if row["what"] == what and row["cores"] == cores]
+    table(["N", *SYSTEMS], [[row["n"], *(cell(row.get(one), "mean", "last") for one in SYSTEMS)] for row in rows])
+    print(f"**{what}, cores: {cores}**: Axon / the other, mean / last, medians of the batches")
+    print()
+    pairs = [("axon", "ratio", other) for other in SYSTEMS[2:6]] + [("axon-direct", "ratio_direct", other) for other in ("mosquitto-qos0", "raw-direct")]
+
+    def ratio(row, key, other):
+        of = row.get(other, {}).get(key)
+        return f"{cell(of['mean'], 'median')} / {cell(of['last'], 'median')}" if of else "–"
+
+    def geometric(axon, other):
+        of = result.get("geometric_mean_over_n" + ("_direct" if axon == "axon-direct" else ""), {}).get(cores, {}).get(other, {}).get(what, {})
+        return f"{figure(of['mean'])} / {figure(of['last'])}" if of.get("mean") and of.get("last") else "–"
+    last = ["geometric mean", *(geometric(axon, other) for axon, _, other in pairs)]
+    table(["N", *(f"{axon} / {other}" for axon, _, other in pairs)], [*([row["n"], *(ratio(row, key, other) for _, key, other in pairs)] for row in rows), last])
 
 
 def saturation(result):
