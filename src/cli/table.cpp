@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 
 namespace axon::cli {

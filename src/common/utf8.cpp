@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: MIT
 #include "common/utf8.hpp"
 
+#include <cstdint>
+#include <cstring>
+
 namespace axon {
 namespace {
 
@@ -34,15 +37,47 @@ Sequence sequenceAt(std::string_view text, std::size_t i) {
     return {length, length == whole};
 }
 
+/// Where the first byte at or behind `i` is that is not ASCII, or up to seven bytes before it.
+std::size_t skipAscii(std::string_view text, std::size_t i) {
+    constexpr std::uint64_t kHighBits = 0x8080808080808080U;
+    for (std::uint64_t word = 0; i + sizeof(word) <= text.size(); i += sizeof(word)) {
+        std::memcpy(&word, text.data() + i, sizeof(word));
+        if ((word & kHighBits) != 0) break;
+    }
+    return i;
+}
+
+/// Where the first sequence at or behind `i` is that is not UTF-8; the size of the text when there is none.
+std::size_t firstBroken(std::string_view text, std::size_t i) {
+    for (i = skipAscii(text, i); i < text.size(); i = skipAscii(text, i)) {
+        const auto sequence = sequenceAt(text, i);
+        if (!sequence.valid) break;
+        i += sequence.length;
+    }
+    return i;
+}
+
 }  // namespace
+
+bool isUtf8(std::string_view text) {
+    return firstBroken(text, 0) == text.size();
+}
+
+std::size_t utf8Length(std::string_view text) {
+    if (text.empty()) return 0;
+    const auto sequence = sequenceAt(text, 0);
+    return sequence.valid ? sequence.length : 0;
+}
 
 std::string validUtf8(std::string_view text) {
     std::string valid;
     valid.reserve(text.size());
     for (std::size_t i = 0; i < text.size();) {
-        const auto sequence = sequenceAt(text, i);
-        valid.append(sequence.valid ? text.substr(i, sequence.length) : kReplacement);
-        i += sequence.length;
+        const auto broken = firstBroken(text, i);
+        valid.append(text.substr(i, broken - i));
+        if (broken == text.size()) break;
+        valid.append(kReplacement);
+        i = broken + sequenceAt(text, broken).length;
     }
     return valid;
 }

@@ -28,8 +28,9 @@ inline constexpr Duration kLively = std::chrono::seconds{1};
 inline constexpr Duration kAsks = 2 * kWatchdogBusy;
 /// What is held back waits so long for its mark. The relayed way is slow then, or has lost it.
 inline constexpr Duration kMarkWithin = kWatchdogBusy;
-/// After so many bytes of messages their receiver acknowledges at once, and not with the next beat.
-inline constexpr std::size_t kAcknowledgeAfter = 64 * 1024;
+/// After this many bytes of messages their receiver acknowledges at once instead of with the next beat. An
+/// acknowledgement wakes a thread on both sides, and the sender keeps at least eight times as much.
+inline constexpr std::size_t kAcknowledgeAfter = 1024 * 1024;
 
 /// How long the other end of a path has been silent. Threads: any; no lock, so that a beat never waits.
 class Silence {

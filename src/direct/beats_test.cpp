@@ -37,12 +37,12 @@ TEST(Retry, BeginsAnewAfterAPathThatStoodAndOnlyThen) {
     EXPECT_EQ(retry.after(0s), 2s);
 }
 
-TEST(Unacknowledged, AsksForAnAcknowledgementAfterEach64KiB) {
+TEST(Unacknowledged, AsksForAnAcknowledgementAfterEachMiB) {
     Unacknowledged bytes;
-    EXPECT_FALSE(bytes.add(65535));
+    EXPECT_FALSE(bytes.add((1U << 20U) - 1));
     EXPECT_TRUE(bytes.add(1));
-    EXPECT_FALSE(bytes.add(65535));
-    EXPECT_TRUE(bytes.add(100000));
+    EXPECT_FALSE(bytes.add((1U << 20U) - 1));
+    EXPECT_TRUE(bytes.add(1U << 20U));
 }
 
 }  // namespace

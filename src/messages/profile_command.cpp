@@ -5,6 +5,7 @@
 #include <ostream>
 #include <string_view>
 
+#include "common/utf8.hpp"
 #include "messages/profile_reader.hpp"
 #include "messages/text.hpp"
 

@@ -3,6 +3,7 @@
 
 #include <string_view>
 
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 

@@ -2,31 +2,12 @@
 #include "messages/text.hpp"
 
 #include <algorithm>
-#include <cstdint>
 #include <utility>
+
+#include "common/utf8.hpp"
 
 namespace axon {
 namespace {
-
-/// Length of the UTF-8 sequence at the front of the text; 0 where it is none.
-std::size_t sequenceLength(std::string_view text) {
-    const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
-    const unsigned char lead = byte(0);
-    if (lead < 0x80U) return 1;
-    const std::size_t length = (lead >> 5U) == 0x6U    ? 2
-                               : (lead >> 4U) == 0xEU  ? 3
-                               : (lead >> 3U) == 0x1EU ? 4
-                                                       : 0;
-    if (length == 0 || text.size() < length) return 0;
-    std::uint32_t point = lead & (0xFFU >> (length + 1));
-    for (std::size_t i = 1; i < length; ++i) {
-        if ((byte(i) & 0xC0U) != 0x80U) return 0;
-        point = (point << 6U) | (byte(i) & 0x3FU);
-    }
-    static constexpr std::uint32_t kSmallest[] = {0, 0, 0x80, 0x800, 0x10000};
-    if (point < kSmallest[length] || point > 0x10FFFF || (point >= 0xD800 && point <= 0xDFFF)) return 0;
-    return length;
-}
 
 char lower(char c) {
     return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
@@ -55,7 +36,7 @@ std::string inQuotes(std::string_view text, std::size_t limit) {
     std::string out = "\"";
     std::size_t i = 0;
     while (i < text.size()) {
-        const std::size_t length = sequenceLength(text.substr(i));
+        const std::size_t length = utf8Length(text.substr(i));
         if (i + std::max<std::size_t>(length, 1) > limit) break;
         const auto c = static_cast<unsigned char>(text[i]);
         if (length == 0 || c < 0x20U || c == 0x7FU) {
@@ -67,15 +48,6 @@ std::string inQuotes(std::string_view text, std::size_t limit) {
         }
     }
     return out + (i < text.size() ? "...\"" : "\"");
-}
-
-bool isUtf8(std::string_view text) {
-    while (!text.empty()) {
-        const std::size_t length = sequenceLength(text);
-        if (length == 0) return false;
-        text.remove_prefix(length);
-    }
-    return true;
 }
 
 std::size_t countCharacters(std::string_view text) {

@@ -11,9 +11,6 @@ namespace axon {
 /// with control characters and bytes that are not UTF-8 shown as '?'.
 std::string inQuotes(std::string_view text, std::size_t limit = 60);
 
-/// Well-formed UTF-8 (no surrogates, nothing overlong): what a protobuf string may hold.
-bool isUtf8(std::string_view text);
-
 /// Characters (Unicode code points) of a well-formed UTF-8 text.
 std::size_t countCharacters(std::string_view text);
 

@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 
 namespace axon {

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <memory>
 
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 
 namespace axon {

@@ -8,6 +8,7 @@
 #include "cli/arguments.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 
 // axon set, axon upload, axon send

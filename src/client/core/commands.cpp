@@ -8,6 +8,7 @@
 #include "client/core/content.hpp"
 #include "client/core/entities.hpp"
 #include "client/core/leases.hpp"
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 

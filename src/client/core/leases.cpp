@@ -11,6 +11,7 @@
 #include "client/core/runs.hpp"
 #include "client/core/server_watch.hpp"
 #include "client/core/tasks.hpp"
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 

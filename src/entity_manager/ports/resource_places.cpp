@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "common/descriptor.hpp"
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
