@@ -201,7 +201,7 @@ int runCrowd(const CrowdWish& wish) {
                     BackEndSettings settings_of_link;
                     settings_of_link.application = name;
                     settings_of_link.manager = name;
-                    const auto place = robotPlace(::getppid(), index);
+                    const auto place = robotPlace(wish.board_file, index);
                     settings_of_link.where = {{place.port, place.port}, place.address};
                     auto tcp = std::make_unique<BackEndInterface>(strand, std::move(settings_of_link),
                                                                   stop_counter, clock, member.random, events);

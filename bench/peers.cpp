@@ -450,7 +450,7 @@ Pairs pairs(const WorkFolder& work, const Wish& wish, Placement& placement, bool
 }
 
 /// The choices of cores, where those of the default that this machine does not have are left out.
-std::vector<std::string> coresOf(const Wish& wish, const Placement& placement) {
+std::vector<std::string> choicesOf(const Wish& wish, const Placement& placement) {
     if (!wish.cores.empty()) {
         for (const auto& cores : wish.cores)
             if (!placement.permits(coresOf(cores)))
@@ -465,7 +465,7 @@ std::vector<std::string> coresOf(const Wish& wish, const Placement& placement) {
 
 int run(Wish wish) {
     Placement placement;
-    wish.cores = coresOf(wish, placement);
+    wish.cores = choicesOf(wish, placement);
     Report report(wish.json, "peers",
                   {{"entities", wish.sizes},
                    {"cores", wish.cores},

@@ -7,6 +7,7 @@
 #include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <iostream>
 #include <memory>
 #include <thread>
@@ -41,8 +42,8 @@ std::string servicesProfile() {
            "global_id=\"nothing\"/></ServiceProfile>";
 }
 
-RobotPlace robotPlace(pid_t run, std::size_t index) {
-    const auto of = static_cast<unsigned>(run);
+RobotPlace robotPlace(const fs::path& board, std::size_t index) {
+    const auto of = std::hash<std::string>()(board.parent_path().string());
     return {"127." + std::to_string(100 + index / kPortsOfAddress) + "." + std::to_string(of >> 8U & 255U) +
                 "." + std::to_string(of & 255U),
             static_cast<std::uint16_t>(5500 + index % kPortsOfAddress)};
@@ -59,7 +60,7 @@ int runRobots(const std::string& board_file, std::size_t slots, std::size_t firs
     std::vector<std::unique_ptr<EntityInterfacer>> all;
     for (auto i = first; i < first + count; ++i) {
         const auto name = prefix + "-" + std::to_string(i);
-        const auto place = robotPlace(parent, i);
+        const auto place = robotPlace(board_file, i);
         EntityInterfacer::Options options;
         options.application = name;
         options.address = place.address;

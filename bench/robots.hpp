@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <sys/types.h>
-
 #include <cstdint>
+#include <filesystem>
 #include <string>
 
 namespace axon::bench {
@@ -11,14 +10,14 @@ namespace axon::bench {
 std::string basicProfile(const std::string& name);
 std::string servicesProfile();
 
-/// Where application `index` of a run listens: an address of the loopback network that is this run's own, so
-/// that the usual ports of 127.0.0.1 stay free for others; the range of ports is the library's. `run`: the id
-/// of the process that reports.
+/// Where application `index` of a crowd listens: an address of the loopback network that is this crowd's own,
+/// so that the usual ports of 127.0.0.1 stay free for others; the range of ports is the library's. `board`:
+/// a board of the crowd; their folder tells it from other crowds and other runs.
 struct RobotPlace {
     std::string address;
     std::uint16_t port;
 };
-RobotPlace robotPlace(pid_t run, std::size_t index);
+RobotPlace robotPlace(const std::filesystem::path& board, std::size_t index);
 
 /// Applications PREFIX-FIRST … in one process, each with an Entity Interfacer of its own (and its three
 /// threads) and nothing behind it. Each notes on a board when its callbacks begin: data by its number, a stop
