@@ -499,10 +499,7 @@ Result<Entity> Client::Session::waitFor(std::string_view name, Seconds time) con
     while (true) {
         const auto left = clock_->realTimeUntil(until);
         auto found = core_.entities().find(name);
-        if (found && found->ready && found->state != EntityState::UNAV && found->state != EntityState::INIT &&
-            found->state != EntityState::ENVCONN && found->state != EntityState::ERR) {
-            return found;
-        }
+        if (found && found->ready && availability(found->state) != Availability::Away) return found;
         if (!found && found.refusal().code == RefusalCode::AmbiguousEntity) return found;
         if (closing_ || left <= Duration::zero()) {
             if (!found) return found;

@@ -111,17 +111,14 @@ std::optional<Unfit> unfitness(const Role& role, const Candidate& candidate) {
     if (other_category || other_type)
         lacks.add(kOtherKind, RefusalCode::WrongType, "is " + kindOf(candidate.category, candidate.type));
     lookAtServices(role, candidate, lacks);
-    switch (candidate.state) {
-        case EntityState::IDLE:
-        case EntityState::REG:
+    switch (availability(candidate.state)) {
+        case Availability::Ready:
             break;
-        case EntityState::BUSY:
-        case EntityState::COLLAB:
-        case EntityState::SLAVE:
+        case Availability::Working:
             if (candidate.held_here)
                 lacks.add(kBusy, RefusalCode::Blocked, std::string("is ") + toString(candidate.state));
             break;
-        default:
+        case Availability::Away:
             lacks.add(kAway, RefusalCode::Unavailable, std::string("is ") + toString(candidate.state));
     }
     if (!candidate.held_here && !candidate.holder.empty())

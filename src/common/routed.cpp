@@ -1,30 +1,54 @@
 // SPDX-License-Identifier: MIT
 #include "common/routed.hpp"
 
+#include <cstddef>
+#include <iterator>
+
 namespace axon {
 
+namespace {
+
+struct StateRow {
+    EntityState state;
+    const char* token;
+    Availability availability;
+};
+constexpr StateRow kStates[] = {
+    {EntityState::UNAV, "UNAV", Availability::Away},
+    {EntityState::INIT, "INIT", Availability::Away},
+    {EntityState::ENVCONN, "ENVCONN", Availability::Away},
+    {EntityState::IDLE, "IDLE", Availability::Ready},
+    {EntityState::REG, "REG", Availability::Ready},
+    {EntityState::COLLAB, "COLLAB", Availability::Working},
+    {EntityState::SLAVE, "SLAVE", Availability::Working},
+    {EntityState::BUSY, "BUSY", Availability::Working},
+    {EntityState::ERR, "ERR", Availability::Away},
+};
+
+constexpr bool inOrder() {
+    for (std::size_t i = 0; i < std::size(kStates); ++i)
+        if (static_cast<std::size_t>(kStates[i].state) != i) return false;
+    return true;
+}
+static_assert(inOrder() && std::size(kStates) == static_cast<std::size_t>(EntityState::ERR) + 1,
+              "each state has its row, in the order of the enum");
+
+/// Null for a number that is no state: servers pass on what a peer has said.
+const StateRow* rowOf(EntityState state) {
+    const auto index = static_cast<std::size_t>(state);
+    return index < std::size(kStates) ? &kStates[index] : nullptr;
+}
+
+}  // namespace
+
 const char* toString(EntityState state) {
-    switch (state) {
-        case EntityState::UNAV:
-            return "UNAV";
-        case EntityState::INIT:
-            return "INIT";
-        case EntityState::ENVCONN:
-            return "ENVCONN";
-        case EntityState::IDLE:
-            return "IDLE";
-        case EntityState::REG:
-            return "REG";
-        case EntityState::COLLAB:
-            return "COLLAB";
-        case EntityState::SLAVE:
-            return "SLAVE";
-        case EntityState::BUSY:
-            return "BUSY";
-        case EntityState::ERR:
-            return "ERR";
-    }
-    return "?";
+    const auto* row = rowOf(state);
+    return row != nullptr ? row->token : "?";
+}
+
+Availability availability(EntityState state) {
+    const auto* row = rowOf(state);
+    return row != nullptr ? row->availability : Availability::Away;
 }
 
 const char* toString(StopCause cause) {

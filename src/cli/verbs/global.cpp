@@ -149,8 +149,7 @@ using Ids = std::set<std::string>;
 
 /// It takes part in a run, or may: while it carries out a step a participant is BUSY as with any other task.
 bool mayTakePart(const Entity& entity) {
-    return entity.state == EntityState::COLLAB || entity.state == EntityState::SLAVE ||
-           entity.state == EntityState::BUSY;
+    return availability(entity.state) == Availability::Working;
 }
 
 /// Who takes part in the runs of others that are meant, as their masters say. One that does not say may be

@@ -16,7 +16,7 @@ namespace axon::client {
 namespace {
 
 bool moves(EntityState state) {
-    return state == EntityState::BUSY || state == EntityState::COLLAB || state == EntityState::SLAVE;
+    return availability(state) == Availability::Working;
 }
 
 }  // namespace

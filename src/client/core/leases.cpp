@@ -23,12 +23,6 @@ namespace {
 /// faults/cluster_faults.py; given up before, they would be nobody's until the grace ends.
 constexpr Duration kLeftPatience = std::chrono::milliseconds{2500};
 
-/// An EM in one of these has no lease to give or to keep.
-bool withoutLease(EntityState state) {
-    return state == EntityState::UNAV || state == EntityState::INIT || state == EntityState::ENVCONN ||
-           state == EntityState::ERR;
-}
-
 bool leaseIsGone(RefusalCode code) {
     return code == RefusalCode::NotHolder || code == RefusalCode::OlderLease ||
            code == RefusalCode::RevokedLease || code == RefusalCode::WrongEpoch;
@@ -191,7 +185,8 @@ void Leases::onStatus(const EntityStatus& status) {
                 {RefusalCode::RevokedLease, label() + " was given to " + status.holder.name + ".",
                  status.holder.name},
                 true);
-        } else if (!lease->orphaned && status.holder.id.empty() && withoutLease(status.state)) {
+        } else if (!lease->orphaned && status.holder.id.empty() &&
+                   availability(status.state) == Availability::Away) {
             end(status.entity,
                 {RefusalCode::Unavailable,
                  label() + " is " + toString(status.state) +
