@@ -449,6 +449,8 @@ void CheckOuts::endAttempt(Order& order, const Refusal& why) {
     auto parties = order.parties;
     for (auto& party : parties) {
         if (party.granted) {
+            // It may have been lost or released meanwhile, and checked out again.
+            if (!parts_.leases.holds({party.entity, party.lease})) continue;
             parts_.leases.end(party.entity, why, false);
             if (parts_.context.connected) parts_.leases.sendRelease({party.entity, party.lease});
         } else if (!order.resume && !party.refused && parts_.context.connected) {

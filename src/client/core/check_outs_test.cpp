@@ -254,6 +254,28 @@ TEST_F(CheckOutsTest, SeveralThatDoNotBecomeFreeInTimeAreRefusedWithTheReason) {
     EXPECT_EQ(core.nextDeadline(), TimePoint::max());
 }
 
+TEST_F(CheckOutsTest, ACheckOutOfSeveralThatFailsLeavesANewerOneAlone) {
+    idle(1);
+    idle(3);
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, {}, answer.taker());
+    for (const auto& message : link.take()) answerCheckOut(message);  // reserved
+    const auto committed = link.take();
+    ASSERT_THAT(committed, SizeIs(2));
+    answerCheckOut(committed[0], RefusalCode::Ok, 1);  // and the other one is silent
+    ASSERT_THAT(core.leases().held(), SizeIs(1));
+    core.leases().release(core.leases().held()[0], [](const Result<void>&) {});
+
+    Answer<std::vector<Held>> newer;
+    core.checkOuts().checkOut({"PeopleBot#1"}, {}, newer.taker());
+    answerCheckOut(link.sent.back(), RefusalCode::Ok, 2);
+    ASSERT_TRUE(newer.refusal.ok());
+    advance(1h);
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_FALSE(answer.refusal.ok());
+    ASSERT_THAT(core.leases().held(), SizeIs(1)) << "or the entity keeps a holder who does not know of it";
+    EXPECT_EQ(core.leases().held()[0].lease.number, 2);
+}
+
 TEST_F(CheckOutsTest, AParkedCheckOutEndsWhenAnEntityLeaves) {
     heldByAnother(3);
     core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, waiting(60s), answer.taker());
