@@ -43,7 +43,7 @@ Variant permitted(Variant variant, std::size_t n) {
     if (isDirect(variant) && needed > descriptorsPermitted())
         throw NotPermitted(std::to_string(n) + " direct paths need " + std::to_string(needed) +
                            " descriptors in the client's process, which may have " +
-                           std::to_string(descriptorsPermitted()) + "; mend: ulimit -n");
+                           std::to_string(descriptorsPermitted()) + "; fix: raise the limit with ulimit -n");
     return variant;
 }
 

@@ -311,7 +311,7 @@ class Chapter5 {
         if (!axon.ended().empty() || axon.subject().disconnected() > 0 || (!radio_ && axon.relayed > 0))
             sound_ = false;
         if (axon.relayed > 0)
-            std::printf("%8s %s: UP TO %zu WERE REACHED BY THE SERVERS.\n", "", axon.name.c_str(),
+            std::printf("%8s %s: UP TO %zu WERE REACHED THROUGH THE SERVERS.\n", "", axon.name.c_str(),
                         axon.relayed);
         // Behind a radio link two seconds may pass; what is lost for good leaves a gap, which is misplaced.
         // At a callback content may be missing: the oldest data is dropped for an application that reads
@@ -394,22 +394,22 @@ int run(const Wish& wish) {
 Experiment declareChapter5(CLI::App& app) {
     const auto wish = std::make_shared<Wish>();
     auto* command = app.add_subcommand(
-        "chapter5", "The four experiments of the thesis, its figures beside this machine's");
+        "chapter5", "The four experiments of the thesis: its figures next to those of this machine");
     command->footer(
-        "Tables:\n  5.1  one client, data to each of N entities every 500 ms      5.2  likewise a stop\n"
-        "  5.3  M clients and 256 entities, of which ten are measured: data     5.4  likewise a stop\n\n"
-        "Examples:\n  axon-bench chapter5 --table 5.2 --entities 1,64,256 --seconds 10\n"
-        "  axon-bench chapter5 --table 5.4 --clients 1,16 --json clients.json --plot figure.png\n"
-        "All of it takes about two hours.\n");
-    command->add_option("--table", wish->tables, "5.1, 5.2, 5.3 or 5.4 [all]")
+        "Tables:\n  5.1  one client, data to each of N entities every 500 ms      5.2  the same with a "
+        "stop\n  5.3  M clients and 256 entities, of which ten are measured: data     5.4  the same with a "
+        "stop\n\nExamples:\n  axon-bench chapter5 --table 5.2 --entities 1,64,256 --seconds 10\n  axon-bench "
+        "chapter5 --table 5.4 --clients 1,16 --json clients.json --plot figure.png\nAll of it takes about "
+        "two hours.\n");
+    command->add_option("--table", wish->tables, "Tables to measure: 5.1, 5.2, 5.3, 5.4 [all]")
         ->delimiter(',')
         ->check(CLI::IsMember({"5.1", "5.2", "5.3", "5.4"}).description(""))
         ->type_name("TABLE,…");
-    command->add_option("--entities", wish->entities, "Of 5.1 and 5.2 [1,2,4,…,2048]")
+    command->add_option("--entities", wish->entities, "Numbers of entities in 5.1 and 5.2 [1,2,4,…,2048]")
         ->delimiter(',')
         ->check(CLI::Range(1, 4096).description(""))
         ->type_name("N,…");
-    command->add_option("--clients", wish->clients, "Of 5.3 and 5.4 [1,2,4,…,256]")
+    command->add_option("--clients", wish->clients, "Numbers of clients in 5.3 and 5.4 [1,2,4,…,256]")
         ->delimiter(',')
         ->check(CLI::Range(1, 1024).description(""))
         ->type_name("M,…");
@@ -419,7 +419,7 @@ Experiment declareChapter5(CLI::App& app) {
                      "only; needs root or user namespaces, and /dev/net/tun [lan]")
         ->check(CLI::IsMember({"lan", "wlan"}).description(""))
         ->type_name("CHANNEL");
-    command->add_option("--seconds", wish->seconds, "For each row and system [20]")
+    command->add_option("--seconds", wish->seconds, "Duration of each row and system [20]")
         ->check(CLI::Range(0.5, 1e6).description(""))
         ->type_name("S");
     std::vector<std::string> names;
@@ -427,44 +427,46 @@ Experiment declareChapter5(CLI::App& app) {
         if (peer->name != "axon") names.push_back(peer->name);
     names.emplace_back("none");
     command
-        ->add_option(
-            "--with", wish->with,
-            "Besides Axon relayed: axon-direct (direct paths; in 5.3 and 5.4 to the ten that are measured), "
-            "axon-robots (likewise, to the callbacks of real Entity Interfacers) and, in 5.1 and 5.2, peers: "
-            "raw, mosquitto-qos0, mosquitto-qos1, nats; or none [axon-direct,axon-robots,mosquitto-qos0,raw]")
+        ->add_option("--with", wish->with,
+                     "Besides Axon relayed: axon-direct (direct paths; in 5.3 and 5.4 to the ten that are "
+                     "measured), axon-robots (direct paths to the callbacks of real Entity Interfacers) and, "
+                     "in 5.1 and 5.2, peers: raw, mosquitto-qos0, mosquitto-qos1, nats; or none "
+                     "[axon-direct,axon-robots,mosquitto-qos0,raw]")
         ->delimiter(',')
         ->check(CLI::IsMember(names).description(""))
         ->type_name("SYSTEM,…");
     command
         ->add_option("--mode", wish->modes,
-                     "Of 5.3 and 5.4: partitioned (each standard entity is held by one client) and open (by "
-                     "all of them, as in the thesis) [both]")
+                     "Modes of 5.3 and 5.4: partitioned (one client holds each standard entity) and open "
+                     "(all clients use every one, as in the thesis) [both]")
         ->delimiter(',')
         ->check(CLI::IsMember({"partitioned", "open"}).description(""))
         ->type_name("MODE,…");
     command
         ->add_option("--standard", wish->standard,
-                     "Entities of 5.3 and 5.4 besides the ten that are measured [246]")
+                     "Number of entities in 5.3 and 5.4 besides the ten that are measured [246]")
         ->check(CLI::Range(1, 4096).description(""))
         ->type_name("N");
     command
         ->add_option("--robots", wish->robots,
-                     "axon-robots takes part up to this many entities [512]: each has an application with "
-                     "three threads that beat")
+                     "Largest number of entities with axon-robots [512]; each has an application with three "
+                     "threads that send heartbeats")
         ->check(CLI::Range(0, 4096).description(""))
         ->type_name("N");
     command
         ->add_option("--paths", wish->paths,
-                     "axon-direct takes part up to this many entities [256]: each path that is in use beats "
-                     "20 times a second in both directions")
+                     "Largest number of entities with axon-direct [256]; each path in use sends 20 "
+                     "heartbeats a second in both directions")
         ->check(CLI::Range(0, 4096).description(""))
         ->type_name("N");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+    command
+        ->add_option("--json", wish->json,
+                     "Write the results, with a description of the machine, to this file (JSON)")
         ->type_name("FILE");
     command
         ->add_option("--plot", wish->plot,
-                     "Draw figures 5.1 to 5.4 (PNG, by gnuplot); of several tables their numbers are put "
-                     "into the name")
+                     "Draw figures 5.1 to 5.4 with gnuplot (PNG); for several tables, their numbers are "
+                     "added to the file name")
         ->type_name("FILE");
     return {command, [wish] { return run(*wish); }};
 }

@@ -63,7 +63,7 @@ std::string findProgram(const std::string& name);
 /// The command that starts this program once more, as one of declareProcesses() (experiment.hpp).
 std::vector<std::string> ourselves(const std::string& process,
                                    const std::vector<std::string>& arguments = {});
-/// This machine does not let us have as many as wished; the message says of what, and the mend.
+/// This machine does not let us have as many as wished; the message says of what, and how to fix it.
 class NotPermitted : public std::runtime_error {
     using std::runtime_error::runtime_error;
 };

@@ -254,25 +254,30 @@ int run(const Wish& wish) {
 Experiment declareGrowth(CLI::App& app) {
     const auto wish = std::make_shared<Wish>();
     auto* command = app.add_subcommand(
-        "growth", "Memory and processor of the server for each entity and client, idle and active");
+        "growth", "Memory and processor time of the server per entity and client, idle and active");
     command->footer(
         "Examples:\n  axon-bench growth --json growth.json\n  axon-bench growth --entities 5000 --clients "
         "0\n");
     command
-        ->add_option("--entities", wish->entities, "One server for each number [64,512,2048,5000]; 0 = none")
+        ->add_option("--entities", wish->entities,
+                     "Numbers of entities, each with a server of its own [64,512,2048,5000]; 0 = none")
         ->delimiter(',')
         ->check(CLI::Range(0, 16384).description(""))
         ->type_name("N,…");
-    command->add_option("--clients", wish->clients, "Likewise [64,512,2048]; 0 = none")
+    command
+        ->add_option("--clients", wish->clients,
+                     "Numbers of clients, each with a server of its own [64,512,2048]; 0 = none")
         ->delimiter(',')
         ->check(CLI::Range(0, 4096).description(""))
         ->type_name("M,…");
     command
         ->add_option("--seconds", wish->seconds,
-                     "For which the processor's time is taken, idle and active [10]")
+                     "Seconds over which processor time is measured, idle and active [10]")
         ->check(CLI::Range(0.5, 1e5).description(""))
         ->type_name("S");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+    command
+        ->add_option("--json", wish->json,
+                     "Write the results, with a description of the machine, to this file (JSON)")
         ->type_name("FILE");
     return {command, [wish] {
                 std::erase(wish->entities, 0U);

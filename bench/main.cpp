@@ -8,25 +8,21 @@
 int main(int argc, char** argv) {
     using namespace axon::bench;
     CLI::App app{
-        "Measures Axon on this machine, over loopback, beside others that do the same work in the same run.",
+        "Measures Axon on this machine, over loopback, next to other systems that do the same work in the "
+        "same run.",
         "axon-bench"};
     app.footer(
-        "\nTo begin:\n"
-        "  axon-bench peers --entities 1,64 --batches 10        half a minute: Axon, Mosquitto, NATS, "
-        "CycloneDDS, a raw router\n"
-        "  axon-bench chapter5 --table 5.2 --entities 1,64      stops, beside what the thesis printed\n"
-        "  axon-bench peers --json peers.json --plot peers.png  the whole comparison, with a picture\n"
-        "axon-bench EXPERIMENT --help shows its options. Each starts what it needs and ends it; nothing else "
-        "is touched. Let nothing else run\n"
-        "meanwhile: only ratios within one run are worth comparing, never times of two machines. Where it is "
-        "permitted, the threads of Axon's\n"
-        "signal lane and heartbeats have a real-time priority (SCHED_RR) and its memory is locked, as in "
-        "operation; the peers have neither.\n"
-        "Ctrl-C ends it early; what there is by then is printed, and stands in the file of --json, marked as "
-        "partial.\n"
-        "Exit status: 0 done, 1 something of Axon's was lost, corrupt or disconnected or has ended, "
-        "something could not be measured or written,\n"
-        "or it was interrupted, 2 wrongly called.");
+        "\nTo begin:\n  axon-bench peers --entities 1,64 --batches 10        half a minute: Axon, Mosquitto, "
+        "NATS, CycloneDDS, a raw router\n  axon-bench chapter5 --table 5.2 --entities 1,64      stops, "
+        "beside what the thesis printed\n  axon-bench peers --json peers.json --plot peers.png  the whole "
+        "comparison, with a picture\naxon-bench EXPERIMENT --help shows its options. An experiment starts "
+        "all programs that it needs and ends them. Run nothing else at\nthe same time. Compare only ratios "
+        "within one run, never times of two machines. If this is permitted, the threads of Axon's\nsignal "
+        "lane and heartbeats have a real-time priority (SCHED_RR) and its memory is locked, as in operation; "
+        "the peers have neither.\nCtrl-C ends it early; the results so far are printed and written to the "
+        "file of --json, marked as partial.\nExit status: 0 done; 1 Axon lost, corrupted or disconnected "
+        "something, a process ended, something could not be measured or written,\nor the run was "
+        "interrupted; 2 called wrongly.");
     app.get_formatter()->column_width(16);
     app.require_subcommand(1, 1);
     const std::vector<Experiment> experiments{declarePeers(app), declareChapter5(app), declareSaturation(app),

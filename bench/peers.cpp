@@ -216,7 +216,7 @@ class Comparison {
             }
             std::printf("\n");
             if (one->relayed > 0) {
-                std::printf("%6zu %-5s %s: UP TO %zu WERE REACHED BY THE SERVERS.\n", n, nameOf(message),
+                std::printf("%6zu %-5s %s: UP TO %zu WERE REACHED THROUGH THE SERVERS.\n", n, nameOf(message),
                             one->name.c_str(), one->relayed);
                 sound_ = false;
             }
@@ -496,7 +496,7 @@ int run(Wish wish) {
             if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
             if (!its.bad.empty()) std::cerr << "round trips of a pair: " << its.bad << "\n";
             if (its.lost) std::printf("SOME ROUND TRIPS OF AXON'S WERE LOST.\n");
-            if (its.relayed) std::printf("SOME ROUND TRIPS OF AXON-DIRECT'S WENT BY THE SERVERS.\n");
+            if (its.relayed) std::printf("SOME ROUND TRIPS OF AXON-DIRECT'S WENT THROUGH THE SERVERS.\n");
             if (its.lost || its.relayed || !its.bad.empty()) sound = false;
         } catch (const std::exception& problem) {
             if (!interrupted) {
@@ -545,7 +545,7 @@ int run(Wish wish) {
 Experiment declarePeers(CLI::App& app) {
     const auto wish = std::make_shared<Wish>();
     auto* command = app.add_subcommand(
-        "peers", "The same work beside Mosquitto, NATS, CycloneDDS and a raw router, in turns");
+        "peers", "The same work for Axon, Mosquitto, NATS, CycloneDDS and a raw router, in turns");
     std::vector<std::string> names{"cyclonedds"};
     std::string list;
     for (const auto& peer : peers()) {
@@ -553,29 +553,27 @@ Experiment declarePeers(CLI::App& app) {
         list += "  " + peer.name + std::string(16 - std::min<std::size_t>(15, peer.name.size()), ' ') +
                 peer.what + "\n";
     }
-    command->footer(
-        "Systems, each started by the benchmark:\n" + list +
-        "  cyclonedds       ddsperf's ping and pong: round trips of one pair\n"
-        "Messages: small (60 bytes), data (35,000 bytes), stop (60 bytes; of Axon one call for all of "
-        "them).\n\n"
-        "Examples:\n  axon-bench peers --entities 1,64 --batches 20\n  axon-bench peers --only "
-        "mosquitto-qos0 --of stop --json stop.json\n"
-        "  axon-bench peers --entities 1,8 --of data --beside clientgl2.cfg entitygl2client.cfg\n");
+    command->footer("Systems, each started by the benchmark:\n" + list +
+                    "  cyclonedds       ddsperf's ping and pong: round trips of one pair\nMessages: small "
+                    "(60 bytes), data (35,000 bytes), stop (60 bytes; for Axon, one call stops all of "
+                    "them).\n\nExamples:\n  axon-bench peers --entities 1,64 --batches 20\n  axon-bench "
+                    "peers --only mosquitto-qos0 --of stop --json stop.json\n  axon-bench peers --entities "
+                    "1,8 --of data --beside clientgl2.cfg entitygl2client.cfg\n");
     command
         ->add_option("--entities", wish->sizes,
-                     "How many receivers, one after the other [1,64,256,1024,2048]")
+                     "Numbers of receivers, one run after the other [1,64,256,1024,2048]")
         ->delimiter(',')
         ->check(CLI::Range(1, 4096).description(""))
         ->type_name("N,…");
-    command->add_option("--batches", wish->batches, "Batches of each kind for each system [30]")
+    command->add_option("--batches", wish->batches, "Number of batches of each kind for each system [30]")
         ->check(CLI::Range(1, 100000).description(""))
         ->type_name("COUNT");
     command
         ->add_option("--seconds", wish->seconds,
-                     "In place of --batches: so long for each N and kind, all systems together")
+                     "Instead of --batches: seconds for each N and kind, all systems together")
         ->check(CLI::Range(0.1, 1e6).description(""))
         ->type_name("S");
-    command->add_option("--of", wish->of, "Only these messages: small, data, stop")
+    command->add_option("--of", wish->of, "Measure only these messages: small, data, stop")
         ->delimiter(',')
         ->check(CLI::IsMember({"small", "data", "stop"}).description(""))
         ->type_name("KIND,…");
@@ -586,24 +584,27 @@ Experiment declarePeers(CLI::App& app) {
         ->delimiter(',')
         ->check(CLI::IsMember({"one", "two", "any"}).description(""))
         ->type_name("WHERE,…");
-    command->add_option("--only", wish->only, "Only these peers")
+    command->add_option("--only", wish->only, "Measure only these peers")
         ->delimiter(',')
         ->check(CLI::IsMember(names).description(""))
         ->type_name("PEER,…");
-    command->add_option("--pair-rounds", wish->pair_rounds, "Of round trips beside ddsperf; 0 = none [3]")
+    command
+        ->add_option("--pair-rounds", wish->pair_rounds,
+                     "Rounds of round trips next to ddsperf; 0 = none [3]")
         ->check(CLI::Range(0, 1000).description(""))
         ->type_name("COUNT");
     command
         ->add_option("--beside", wish->beside,
-                     "In place of the peers: Axon through servers that run already, by the configuration "
-                     "files of a client and of an Entity "
-                     "Manager, as axon-cluster status names them")
+                     "Instead of the peers: Axon through servers that are already running. The two files are "
+                     "the configurations of a client and of an Entity Manager, as axon-cluster writes them")
         ->expected(2)
         ->check(CLI::ExistingFile.description(""))
         ->type_name("FILE FILE");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+    command
+        ->add_option("--json", wish->json,
+                     "Write the results, with a description of the machine, to this file (JSON)")
         ->type_name("FILE");
-    command->add_option("--plot", wish->plot, "Draw them (PNG, by gnuplot)")->type_name("FILE");
+    command->add_option("--plot", wish->plot, "Draw the results with gnuplot (PNG)")->type_name("FILE");
     return {command, [wish] { return run(*wish); }};
 }
 

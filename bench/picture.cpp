@@ -70,7 +70,7 @@ void draw(const std::vector<Panel>& panels, const std::string& file) {
     const auto gnuplot = findProgram("gnuplot");
     if (gnuplot.empty()) {
         std::cerr << file
-                  << " is not drawn: gnuplot is not here; mend: apt-get install --no-install-recommends "
+                  << " is not drawn: gnuplot is not installed; fix: apt-get install --no-install-recommends "
                      "gnuplot-nox\n";
         return;
     }
@@ -111,8 +111,7 @@ void draw(const std::vector<Panel>& panels, const std::string& file) {
     if (pipe == nullptr) return;
     const auto text = script.str();
     std::fwrite(text.data(), 1, text.size(), pipe);
-    if (::pclose(pipe) != 0)
-        std::cerr << file << " is not drawn: gnuplot has failed; its message stands above.\n";
+    if (::pclose(pipe) != 0) std::cerr << file << " is not drawn: gnuplot has failed; its message is above\n";
 }
 
 bool isSystem(const nlohmann::json& of) {

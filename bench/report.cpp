@@ -204,7 +204,7 @@ void Report::write() const {
     if (out) std::filesystem::rename(draft, file_, failed);
     if (!out || failed)
         throw std::runtime_error("cannot write " + file_ +
-                                 "; mend: --json with a file in a folder that you may write to");
+                                 "; fix: name a file in a folder to which you may write with --json");
 }
 
 void carryOut(const std::function<void()>& work) {
@@ -218,7 +218,7 @@ void carryOut(const std::function<void()>& work) {
 
 int conclude(Report& report, const std::string& wrong) {
     report.finish();
-    if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
+    if (interrupted) std::printf("INTERRUPTED: these are partial results.\n");
     if (!wrong.empty()) std::printf("%s\n", wrong.c_str());
     return interrupted || !wrong.empty() ? 1 : 0;
 }

@@ -169,18 +169,20 @@ Experiment declareRuns(CLI::App& app) {
     };
     const auto wish = std::make_shared<Wish>();
     auto* command = app.add_subcommand(
-        "runs", "How long a step of a global service takes to begin, beside a task of the client");
+        "runs", "How long a step of a global service takes to begin, compared with a client's task");
     command->footer("Example:\n  axon-bench runs --entities 16 --rounds 50 --json runs.json\n");
-    command->add_option("--entities", wish->entities, "How many take part [64]")
+    command->add_option("--entities", wish->entities, "Number of entities that take part [64]")
         ->check(CLI::Range(2, 256).description(""))
         ->type_name("N");
-    command->add_option("--levels", wish->levels, "Steps of each, one after the other [10]")
+    command->add_option("--levels", wish->levels, "Steps of each entity, one after the other [10]")
         ->check(CLI::Range(2, static_cast<int>(Arrivals::kRemembered)).description(""))
         ->type_name("L");
-    command->add_option("--rounds", wish->rounds, "Runs that are measured [20]")
+    command->add_option("--rounds", wish->rounds, "Number of runs to measure [20]")
         ->check(CLI::Range(1, 10000).description(""))
         ->type_name("COUNT");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+    command
+        ->add_option("--json", wish->json,
+                     "Write the results, with a description of the machine, to this file (JSON)")
         ->type_name("FILE");
     return {command, [wish] { return run(wish->entities, wish->levels, wish->rounds, wish->json); }};
 }

@@ -267,7 +267,7 @@ int run(const Wish& wish) {
             }
     });
     std::printf(
-        "A stop each 50 ms to one entity, while %zu others take data as fast as they can and %zu more have "
+        "A stop every 50 ms to one entity, while %zu others take data as fast as they can and %zu more have "
         "stopped reading; ms from when it was due.\n",
         readers, stalled);
     std::printf("%-15s %-7s %7s %9s %9s %9s %9s %6s %9s %6s\n", "", "", "n", "mean", "p50", "p99", "max",
@@ -323,25 +323,27 @@ Experiment declareSaturation(CLI::App& app) {
     auto* command = app.add_subcommand(
         "saturation", "Latency of a stop, idle and while others take data as fast as they can");
     command->footer(
-        "Of the entities a tenth (one at least) has stopped reading: its process stands still. Data and "
-        "stops come from two processes, and the\n"
-        "entity that is stopped has one of its own, as a robot has a computer of its own.\n\n"
-        "Example:\n  axon-bench saturation --entities 20 --rounds 10 --json saturation.json\n");
-    command->add_option("--entities", wish->entities, "That take data [20]")
+        "A tenth of the entities (at least one) has stopped reading: their processes are suspended. Data and "
+        "stops come from two processes. The\nentity that is stopped has a process of its own, as a robot has "
+        "a computer of its own.\n\nExample:\n  axon-bench saturation --entities 20 --rounds 10 --json "
+        "saturation.json\n");
+    command->add_option("--entities", wish->entities, "Number of entities that take data [20]")
         ->check(CLI::Range(2, 1024).description(""))
         ->type_name("S");
     command
-        ->add_option(
-            "--seconds", wish->seconds,
-            "Idle, and again loaded, in each round; at most 6, so that nobody is given up meanwhile [6]")
+        ->add_option("--seconds", wish->seconds,
+                     "Seconds idle, and then loaded, in each round; at most 6, so that no entity is given up "
+                     "in that time [6]")
         ->check(CLI::Range(0.2, kSecondsAtMost).description(""))
         ->type_name("S");
     command
         ->add_option("--rounds", wish->rounds,
-                     "Of both, the systems in turns, each round with a new start [3]")
+                     "Number of rounds, the systems in turns, each round with newly started programs [3]")
         ->check(CLI::Range(1, 1000).description(""))
         ->type_name("COUNT");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+    command
+        ->add_option("--json", wish->json,
+                     "Write the results, with a description of the machine, to this file (JSON)")
         ->type_name("FILE");
     return {command, [wish] { return run(*wish); }};
 }

@@ -111,7 +111,7 @@ void reportPeers(Report& report, const std::vector<std::string>& wanted) {
         if (missing) {
             reportSkipped(
                 report, name, package,
-                "its program is not here; mend: apt-get install --no-install-recommends " + package);
+                "its program is not installed; fix: apt-get install --no-install-recommends " + package);
         } else {
             versions[name] = packageVersion(package);
         }

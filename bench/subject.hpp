@@ -59,7 +59,7 @@ const std::vector<Peer>& peers();
 
 class Report;
 /// "versions" and "skipped" of a report, of the peers (and cyclonedds) that an experiment is to have; says
-/// which are skipped and what mends it. Every experiment calls it, with none too.
+/// which are skipped and how to fix that. Every experiment calls it, with none too.
 void reportPeers(Report& report, const std::vector<std::string>& wanted);
 /// One more in "skipped", which was to be there and gave nothing.
 void reportSkipped(Report& report, const std::string& peer, const std::string& package,

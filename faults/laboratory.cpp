@@ -34,10 +34,9 @@ std::string portText(std::uint16_t port) {
 std::string slowDiskLibrary(const fs::path& programs) {
     const auto library = programs / "libaxon_slow_disk.so";
     if (!fs::exists(library))
-        throw std::runtime_error(
-            library.string() +
-            ": expected the library that makes a disk slow. fix: build axon_slow_disk, which a build with a "
-            "sanitizer does not have");
+        throw std::runtime_error(library.string() +
+                                 ": expected the library that makes a disk slow; fix: build axon_slow_disk, "
+                                 "which a build with a sanitizer does not have");
     return library.string();
 }
 
@@ -61,9 +60,9 @@ Laboratory::Laboratory(const Wishes& wishes, const Needs& needs)
       keep_logs_(wishes.keep_logs) {
     for (const auto* program : {"axon-server", "axon-entity-manager"})
         if (!fs::exists(wishes_.programs / program))
-            throw std::runtime_error(
-                (wishes_.programs / program).string() +
-                " does not exist; expected the programs of Axon there. Build them, or say --programs DIR");
+            throw std::runtime_error((wishes_.programs / program).string() +
+                                     " does not exist; expected Axon's programs there; fix: build them, or "
+                                     "name their folder with --programs DIR");
     auto name = (fs::temp_directory_path() / "axon-faults-XXXXXX").string();
     if (!::mkdtemp(name.data())) throw std::system_error(errno, std::generic_category(), name);
     folder_ = name;

@@ -38,7 +38,8 @@ class Saturation {
           seen_(healthy_, 0) {
         if (healthy_ == 0)
             throw std::runtime_error(
-                "saturate: found 1 robot, expected at least 2, of which one stops reading");
+                "saturate: found 1 robot; expected at least 2, one of which stops reading; fix: --entities 2 "
+                "or more");
     }
 
     void carryOut() {

@@ -119,13 +119,13 @@ int runKinds(const std::vector<std::string>& names, const Wishes& wishes, std::s
         out << "\n]}\n";
         if (!out.flush()) {
             std::cerr << "axon-faults: " << json_file
-                      << " cannot be written; choose another file for --json\n";
+                      << " cannot be written; fix: choose another file for --json\n";
             return 2;
         }
     }
     const bool kept = std::all_of(reports.begin(), reports.end(),
                                   [](const Report& report) { return report.broken().empty(); });
-    if (interrupted()) std::printf("interrupted; this is what there was\n");
+    if (interrupted()) std::printf("interrupted; the results so far are above\n");
     if (not_run) return 2;
     return kept && !interrupted() ? 0 : 1;
 }
@@ -135,15 +135,11 @@ int runKinds(const std::vector<std::string>& names, const Wishes& wishes, std::s
 int main(int argc, char** argv) {
     CLI::App app{
         "Injects faults into and between real Axon processes, and measures whether the robots stop as "
-        "promised\n"
-        "(docs/explanation/safety.md).\n\n"
-        "  axon-faults --list\n"
-        "  axon-faults kill-client --trials 100 --entities 8\n"
-        "  axon-faults cut-manager --trials 300 --entities 8 --seed 7 --json result.json\n"
-        "  axon-faults steady --entities 64 --seconds 60 --busy\n"
-        "  axon-faults all --trials 2 --entities 4\n\n"
-        "Exit status: 0 every promise was kept, 1 one was broken or the run was interrupted, 2 it could not "
-        "be run.\n"};
+        "promised\n(docs/explanation/safety.md).\n\n  axon-faults --list\n  axon-faults kill-client --trials "
+        "100 --entities 8\n  axon-faults cut-manager --trials 300 --entities 8 --seed 7 --json result.json\n "
+        " axon-faults steady --entities 64 --seconds 60 --busy\n  axon-faults all --trials 2 --entities "
+        "4\n\nExit status: 0 every promise was kept; 1 a promise was broken or the run was interrupted; 2 it "
+        "could not be run.\n"};
     std::vector<std::string> names;
     std::string json_file, programs;
     Wishes wishes;
@@ -151,23 +147,23 @@ int main(int argc, char** argv) {
     double seconds = 0;
     bool show_list = false;
     app.add_option("kind", names,
-                   "What to do, one after the other, each in a laboratory of its own; all = each but "
-                   "cut-master, in one laboratory");
-    app.add_flag("--list", show_list, "Every kind with its promise, and end");
-    app.add_option("--trials", trials, "How many faults, commands or sequences [of the kind]")
+                   "Faults to inject, one kind after the other, each in a laboratory of its own. all = every "
+                   "kind except cut-master, in one laboratory");
+    app.add_flag("--list", show_list, "List every kind with its promise");
+    app.add_option("--trials", trials, "Number of faults, commands or sequences [depends on the kind]")
         ->check(CLI::Range(1, 10'000'000));
-    app.add_option("--entities", wishes.entities, "How many robots")
+    app.add_option("--entities", wishes.entities, "Number of robots")
         ->check(CLI::Range(1, 4000))
         ->capture_default_str();
-    app.add_option("--seed", wishes.seed, "Chooses moments and victims")->capture_default_str();
-    app.add_option("--seconds", seconds, "How long `steady` lasts [as many as trials]")
+    app.add_option("--seed", wishes.seed, "Seed that chooses moments and victims")->capture_default_str();
+    app.add_option("--seconds", seconds, "Duration of `steady` in seconds [the number of trials]")
         ->check(CLI::Range(1, 1'000'000));
-    app.add_flag("--busy", wishes.busy, "Saturate every core meanwhile, at ordinary priority");
+    app.add_flag("--busy", wishes.busy, "Saturate every core at ordinary priority while the faults happen");
     app.add_flag("--keep-logs", wishes.keep_logs,
-                 "Leave the logs of all processes in the folder that is named at the end");
-    app.add_option("--json", json_file, "Write the results, with machine and seed, to this file");
+                 "Keep the logs of all processes, in the folder that is named at the end");
+    app.add_option("--json", json_file, "Write the results, with machine and seed, to this file (JSON)");
     app.add_option("--programs", programs,
-                   "Where axon-server and axon-entity-manager lie [beside this program]");
+                   "Folder of axon-server and axon-entity-manager [that of this program]");
 
     RobotsPlan plan;
     std::string client_server;
@@ -208,7 +204,7 @@ int main(int argc, char** argv) {
             return 0;
         }
         if (names.empty()) {
-            std::cerr << "axon-faults: expected a kind; axon-faults --list shows them\n";
+            std::cerr << "axon-faults: expected a kind; fix: axon-faults --list shows them\n";
             return 2;
         }
         wishes.programs =

@@ -231,7 +231,7 @@ class Latch : private Hardship {
             ++run_.report.counts["Entity Managers killed"];
             if (const auto now = back.empty() ? std::nullopt : first_->status(back); now && !now->latched())
                 run_.report.violation(robotName(r) +
-                                      " is not latched any more after its Entity Manager was killed");
+                                      " is no longer latched after its Entity Manager was killed");
             return "Entity Manager restarted";
         }
         if (choice < 5) {

@@ -131,7 +131,7 @@ void carryOut(Run& run, const Fault& fault) {
             ++run.report.not_recovered;
             run.lab.startAnew();
             if (!ready(run))
-                throw std::runtime_error("nor after everything was started anew; the logs are in " +
+                throw std::runtime_error("nor after everything was started again; the logs are in " +
                                          run.lab.folder().string());
         }
         trial(run, fault);
@@ -400,12 +400,11 @@ std::vector<Kind> stopKinds() {
         "relay: nothing is missing, but it is late by 10 to 20 ms and twice that each time it is lost again, "
         "150 ms at most, and all behind it waits (packets: axon-channel; longer silence: stall-manager)",
         {.piece = 1448, .lost = 0.03, .lost_again = 0.2, .retry = 20ms, .most = 150ms});
-    addBadCable(
-        "reorder",
-        "likewise the cable changes the order of packets; as TCP shows it, in the relay: the order is "
-        "mended, "
-        "but the stream comes in pieces of 1 to 64 bytes, each up to 5 ms late (packets: axon-channel)",
-        {.piece = 64, .late = 5ms});
+    addBadCable("reorder",
+                "likewise the cable changes the order of packets; as TCP shows it, in the relay: the order "
+                "is restored, but the stream comes in pieces of 1 to 64 bytes, each up to 5 ms late "
+                "(packets: axon-channel)",
+                {.piece = 64, .late = 5ms});
 
 #ifdef AXON_FAULTS_SLOW_DISK
     all.push_back(

@@ -39,7 +39,7 @@ class Graphics {
         void* library = ::dlopen("libOSMesa.so.8", RTLD_NOW | RTLD_GLOBAL);
         if (library == nullptr) library = ::dlopen("libOSMesa.so", RTLD_NOW | RTLD_GLOBAL);
         if (library == nullptr)
-            throw std::runtime_error("no pictures: libOSMesa.so.8 is missing, install libosmesa6");
+            throw std::runtime_error("no pictures: libOSMesa.so.8 is missing; fix: install libosmesa6");
         const auto create =
             reinterpret_cast<decltype(&OSMesaCreateContextExt)>(::dlsym(library, "OSMesaCreateContextExt"));
         const auto make_current =

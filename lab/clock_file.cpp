@@ -21,12 +21,14 @@ ClockFile::ClockFile(const std::string& path)
     if (!file_ || ::fstat(file_.get(), &status) != 0) failWithErrno("--clock " + path);
     // Until this process ends, however it does.
     if (::flock(file_.get(), LOCK_EX | LOCK_NB) != 0)
-        throw std::runtime_error("--clock " + path +
-                                 ": another laboratory tells its time there: give each a file of its own");
+        throw std::runtime_error(
+            "--clock " + path +
+            ": another laboratory writes its time there; fix: give each a file of its own");
     const bool fresh = status.st_size == 0;
     const auto foreign = [&] {
-        throw std::runtime_error("--clock " + path +
-                                 ": it exists and is no laboratory's time: give another name, or delete it");
+        throw std::runtime_error(
+            "--clock " + path +
+            ": it exists and is not the clock file of a laboratory; fix: choose another name, or delete it");
     };
     if (!fresh && status.st_size != static_cast<off_t>(sizeof(SharedClockPage))) foreign();
     if (fresh && ::ftruncate(file_.get(), sizeof(SharedClockPage)) != 0) failWithErrno("--clock " + path);

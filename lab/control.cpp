@@ -168,7 +168,7 @@ Control::Reply Control::handle(std::string_view line) {
             const double ms = number(request, "ms");
             if (ms < 0 || ms > 3.6e6) throw BadRequest("\"ms\": expected 0 to 3600000");
             if (!operator_.paused())
-                throw BadRequest("time runs by itself: pause first, or start with --step");
+                throw BadRequest("time runs by itself; fix: pause first, or start axon-lab with --step");
             until = laboratory_.age() + std::chrono::nanoseconds(std::llround(ms * 1e6));
             answer["time_s"] = rounded(std::chrono::duration<double>(*until).count(), 3);
         } else if (what == "reset") {

@@ -35,8 +35,8 @@ Descriptor listenOn(const std::string& address, int port) {
     if (::bind(socket.get(), reinterpret_cast<sockaddr*>(&to), sizeof to) != 0 ||
         ::listen(socket.get(), 16) != 0) {
         failWithErrno(
-            fmt::format("cannot listen on {}:{}; another laboratory may be running: choose another --port, "
-                        "or 0 for a free one",
+            fmt::format("cannot listen on {}:{}; another laboratory may be running; fix: choose another "
+                        "--port, or 0 for a free one",
                         address, port));
     }
     return socket;

@@ -19,18 +19,17 @@ namespace {
 using namespace axon::simulation;
 
 constexpr const char* kUsage =
-    R"(axon-simulate: the product's own cores on virtual time and a simulated network
-  --seeds A..B     these seeds, both included (default 1..1000)
-  --faults PROFILE none, delay, loss, duplication, reorder, partition, crash, pause, slow, drift, direct, lies,
-                   all (default: all);
-                   "each" takes them in turn, seed by seed
-  --story SEED     play this one seed and tell what happens in it
-  --json FILE      write the figures
-  --jobs N         threads (default: the number of cores)
-  --keep-going     do not end at the first violation
-  --list           the profiles and the invariants
-A seed is a laboratory of its own: 2 or 3 clients, 3 or 4 entities, 60 virtual seconds. Exit status 0: no promise was
-broken; 1: one was; 2: called wrongly.
+    R"(axon-simulate runs the product's own cores on virtual time and a simulated network, and checks its promises.
+  --seeds A..B     play these seeds, both included (default 1..1000)
+  --faults PROFILE faults to inject: none, delay, loss, duplication, reorder, partition, crash, pause, slow,
+                   drift, direct, lies, all (default: all); "each" takes one after the other, seed by seed
+  --story SEED     play this one seed and print what happens in it
+  --json FILE      write the figures to this file
+  --jobs N         number of threads (default: the number of cores)
+  --keep-going     do not end at the first broken promise
+  --list           print the profiles and the invariants
+Every seed is a laboratory of its own: 2 or 3 clients, 3 or 4 entities, 60 virtual seconds.
+Exit status: 0 no promise was broken; 1 a promise was broken; 2 called wrongly.
 )";
 
 struct Options {
@@ -51,7 +50,7 @@ axon::PlantedBug plantedBug(const std::string& wanted) {
     if (wanted == #name) return axon::PlantedBug::name;
     AXON_EACH_PLANTED_BUG(AXON_MATCH)
 #undef AXON_MATCH
-    throw std::invalid_argument("--bug: there is no \"" + wanted + "\"; --list-bugs shows them");
+    throw std::invalid_argument("--bug: there is no \"" + wanted + "\"; fix: --list-bugs shows them");
 }
 #endif
 
@@ -85,7 +84,7 @@ Options parse(int argc, char** argv) {
             options.faults = faultsOf(name);
             if (!options.faults && name != "each")
                 throw std::invalid_argument("--faults: there is no profile \"" + name +
-                                            "\"; --list shows them");
+                                            "\"; fix: --list shows them");
         } else if (option == "--story") {
             options.story = numberOf(option, value());
         } else if (option == "--json") {
@@ -109,7 +108,8 @@ Options parse(int argc, char** argv) {
         } else if (option == "--help" || option == "-h") {
             options.help = true;
         } else {
-            throw std::invalid_argument("there is no option \"" + option + "\"; --help shows them");
+            throw std::invalid_argument("there is no option \"" + option +
+                                        "\"; fix: --help shows the options");
         }
     }
     return options;
@@ -141,7 +141,7 @@ struct Totals {
 
 void writeJson(const std::string& file, const Options& options, const Totals& totals, double seconds) {
     std::ofstream out(file);
-    if (!out) throw std::invalid_argument("--json: cannot write " + file);
+    if (!out) throw std::invalid_argument("--json: expected a file that can be written: " + file);
     out << "{\n  \"first_seed\": " << options.first << ",\n  \"last_seed\": " << options.last
         << ",\n  \"faults\": \"" << (options.faults ? toString(*options.faults) : "each")
         << "\",\n  \"jobs\": " << options.jobs << ",\n  \"seeds\": " << totals.seeds

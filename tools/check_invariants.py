@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Checks the invariants of ARCHITECTURE.md that can be read off the text of the sources.
 
-Prints one line per finding, `file:line: what: how to mend it`, and exits with 1 when there is any, with 0 when
+Prints one line per finding, `file:line: what: how to fix it`, and exits with 1 when there is any, with 0 when
 there is none, with 2 when it was called wrongly. The rule names are those of the table in ARCHITECTURE.md.
 """
 import argparse

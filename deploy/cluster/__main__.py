@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""axon-cluster: all programs of a distributed Axon on one machine, with a configuration folder to read and edit."""
+"""axon-cluster: runs all programs of a distributed Axon on one machine, from a configuration folder that can be edited."""
 import argparse
 import datetime
 import json
@@ -20,38 +20,38 @@ EPILOG = f"""\
   axon-cluster down
 
 Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}.
-Exit status: 0 done (status: everything runs); 1 something did not start or does not run; 2 wrong options, a port that
-is taken, a missing package. docs/how-to/deploy.md explains every file of the folder."""
+Exit status: 0 done (status: everything runs); 1 a program did not start or does not run; 2 wrong options, a port that is
+taken, or a missing package. docs/how-to/deploy.md explains every file of the folder."""
 
 
 def parse(arguments):
     parser = argparse.ArgumentParser(
-        prog="axon-cluster", description="Runs IceStorm, two Glacier2 routers and Axon's servers on one machine.",
+        prog="axon-cluster", description="Runs IceStorm, two Glacier2 routers and Axon's servers on this machine.",
         epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--folder", type=pathlib.Path, default=default_folder(),
-                        help="where configuration and logs are (%(default)s)")
-    common.add_argument("--programs", type=pathlib.Path, help="where axon-server and axon lie (beside axon-cluster)")
+                        help="folder of configuration and logs (%(default)s)")
+    common.add_argument("--programs", type=pathlib.Path, help="folder of axon-server and axon (default: that of axon-cluster)")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="up | status | kill | restart | down")
 
     def add(name, text):
         return verbs.add_parser(name, parents=[common], help=text, description=text)
 
-    up = add("up", "Starts what does not run and waits until it can be used. What is not said stays as it was.")
+    up = add("up", "Starts the programs that do not run and waits until the cluster can be used. Options that are not given keep their values.")
     up.add_argument("--front-ends", type=int, metavar="N", help=f"front-end servers, 1 to {SERVERS_MAX} (1)")
     up.add_argument("--entity-servers", type=int, metavar="M", help=f"entity servers, 1 to {SERVERS_MAX} (1)")
-    up.add_argument("--base-port", type=int, metavar="P", help=f"the first of 200 ports ({BASE_PORT}); 0 = a free range")
-    up.add_argument("--listen", metavar="ADDRESS", help=f"where the two routers listen ({LOOPBACK}); the rest is on loopback")
-    up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="clients and entities come by TLS, with certificates")
-    add("status", "What runs, where.").add_argument("--json", action="store_true")
-    add("kill", "kill -9.").add_argument("name")
+    up.add_argument("--base-port", type=int, metavar="P", help=f"first of 200 ports ({BASE_PORT}); 0 = a free range")
+    up.add_argument("--listen", metavar="ADDRESS", help=f"address on which the two routers listen ({LOOPBACK}); everything else listens on loopback")
+    up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="clients and entities connect over TLS, with certificates")
+    add("status", "Shows which programs run, with their ports and logs.").add_argument("--json", action="store_true")
+    add("kill", "Kills a program with SIGKILL.").add_argument("name")
     add("restart", "Ends a program and starts it again.").add_argument("name")
-    add("down", "Ends everything, in order.")
+    add("down", "Ends all programs, in order.")
     return parser.parse_args(arguments)
 
 
 def in_folder(options):
-    """What to add to the commands that are printed."""
+    """The --folder option of the commands that are printed, if they need one."""
     return "" if options.folder == default_folder() else f" --folder {options.folder}"
 
 
@@ -93,7 +93,7 @@ def status(cluster, options):
 
 def kill(cluster, options):
     if not cluster.kill(options.name):
-        print(f"{options.name} did not run")
+        print(f"{options.name} was not running")
         return 1
     print(f"{options.name} killed; axon-cluster restart {options.name}{in_folder(options)} brings it back")
     return 0
@@ -107,7 +107,7 @@ def restart(cluster, options):
 
 def down(cluster, options):
     ended = cluster.down()
-    print(f"ended: {', '.join(ended)}" if ended else "nothing ran")
+    print(f"ended: {', '.join(ended)}" if ended else "nothing was running")
     return 0
 
 
@@ -121,7 +121,7 @@ def main(arguments):
         print(f"axon-cluster: {error}", file=sys.stderr)
         return 2 if isinstance(error, Misconfigured) else 1
     except KeyboardInterrupt:
-        print("\naxon-cluster: interrupted; axon-cluster down ends what has started", file=sys.stderr)
+        print("\naxon-cluster: interrupted; fix: axon-cluster down ends the programs that have started", file=sys.stderr)
         return 130
 
 

@@ -60,7 +60,7 @@ def free(host, port):
             listener.bind((host, port))
         except OSError as error:
             if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-                raise Misconfigured(f"{host} is no address of this machine; choose another with --listen") from error
+                raise Misconfigured(f"{host} is not an address of this machine; fix: choose another with --listen") from error
             if error.errno == errno.EADDRINUSE:
                 return False
             raise
@@ -73,7 +73,7 @@ def free_range(plan):
         candidate = dataclasses.replace(plan, base_port=random.randrange(11000, 32000, 200))
         if all(free(*at) for program in configuration.programs(candidate) for at in program.ports.values()):
             return candidate
-    raise Misconfigured("--base-port 0: no free range of 200 ports between 11000 and 32200 was found")
+    raise Misconfigured("--base-port 0: no free range of 200 ports between 11000 and 32200 was found; fix: choose one with --base-port P")
 
 
 class Progress:
@@ -116,8 +116,8 @@ class Cluster:
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as error:
-            raise Misconfigured(f"{file}: {error}; expected what axon-cluster wrote there. End what it may have "
-                                "started, delete that file, and say axon-cluster up") from error
+            raise Misconfigured(f"{file}: {error}; expected the content that axon-cluster wrote; fix: end the "
+                                "programs that it may have started, delete that file, and run axon-cluster up") from error
 
     def remember(self, name, what):
         write_private(self.folder / name, json.dumps(what, indent=1) + "\n")
@@ -126,7 +126,7 @@ class Cluster:
         known = self.remembered("cluster.json").get("plan")
         if not known:
             raise Misconfigured(f"there is no cluster in {self.folder}; expected one made by axon-cluster up"
-                                " (another folder: --folder DIR)")
+                                "; fix: run axon-cluster up, or name another folder with --folder DIR")
         return configuration.Plan(folder=self.folder, **known)
 
     def records(self):
@@ -138,7 +138,7 @@ class Cluster:
     def program(self, name):
         found = {program.name: program for program in configuration.programs(self.plan())}
         if name not in found:
-            raise Misconfigured(f"no program '{name}'; expected one of {', '.join(found)}")
+            raise Misconfigured(f"there is no program '{name}'; expected one of {', '.join(found)}")
         return found[name]
 
     def told(self, file, key):
@@ -167,7 +167,7 @@ class Cluster:
             running = [name for name, record in self.records().items() if processes.runs(record)]
             if running and fields != before:
                 raise Misconfigured(f"a cluster of another kind runs in {self.folder} ({', '.join(running)}); "
-                                    "axon-cluster down ends it")
+                                    "fix: end it with axon-cluster down")
             self.require_programs()
             self.write_files(plan, known.get("generated", {}), fields)
         return plan
@@ -175,12 +175,12 @@ class Cluster:
     def require_programs(self):
         missing = [name for name in PACKAGES if not shutil.which(name)]
         if missing:
-            raise Misconfigured(f"{' and '.join(missing)} not found; mend: as root, apt-get install --no-install-recommends "
+            raise Misconfigured(f"{' and '.join(missing)} not found; fix: as root, apt-get install --no-install-recommends "
                                 + " ".join(PACKAGES[name] for name in missing))
         for name in ("axon-server", "axon"):
             if not (self.axon_programs / name).exists():
-                raise Misconfigured(f"{self.axon_programs / name} does not exist; expected it beside axon-cluster, or in "
-                                    "the folder that --programs names")
+                raise Misconfigured(f"{self.axon_programs / name} does not exist; expected it beside axon-cluster; fix: "
+                                    "name its folder with --programs")
 
     def write_files(self, plan, generated, fields):
         passwords = {user: self.told(file, "Axon.Password") for user, file in USER_FILES.items()}
@@ -196,7 +196,7 @@ class Cluster:
             file = self.folder / name
             if file.exists() and digest(file.read_text(encoding="utf-8")) != generated.get(name):
                 kept[name] = generated.get(name, "")
-                self.progress.say(f"{name} is kept as it was changed by hand")
+                self.progress.say(f"{name} is kept, because it was changed by hand")
                 continue
             write_private(file, text)
             kept[name] = digest(text)
@@ -264,8 +264,8 @@ class Cluster:
         for what, (host, port) in program.ports.items():
             if not free(host, port):
                 raise Misconfigured(
-                    f"port {port} of {host} is taken by another program, and {program.name} needs it ({what}); mend: end that "
-                    "program, or choose other ports: axon-cluster up --base-port P (0 = a free range)")
+                    f"port {port} of {host} is taken by another program, and {program.name} needs it ({what}); fix: end that "
+                    "program, or choose other ports with axon-cluster up --base-port P (0 = a free range)")
         command = [str(self.axon_programs / word) if word.startswith("axon-") else word for word in program.command]
         self.progress.show(f"starting {program.name}")
         records = self.records()

@@ -15,7 +15,7 @@ ADMIN, ENTITY = "admin", "entity"
 
 
 class Misconfigured(Exception):
-    """The person asked for something that cannot be; the text says what was expected and how to mend it."""
+    """The person asked for something that cannot be; the text says what was expected and how to fix it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,15 +34,15 @@ class Plan:
                 raise Misconfigured(f"{option} {value}: expected 1 to {SERVERS_MAX}")
         if not PORTS_FROM <= self.base_port <= PORTS_TO:
             raise Misconfigured(f"--base-port {self.base_port}: expected {PORTS_FROM} to {PORTS_TO} "
-                                "(200 ports from there on are used), or 0 for a free range")
+                                "(200 ports from there on are used); fix: choose such a port, or 0 for a free range")
         if self.listen in ("0.0.0.0", "::", "*", ""):
-            raise Misconfigured(f"--listen {self.listen}: expected one address or name of this machine, as clients "
-                                "and entities are to reach it; it is written into their configuration")
+            raise Misconfigured(f"--listen {self.listen}: expected one address or name of this machine; fix: name "
+                                "the one by which clients and entities reach it, because it is written into their configuration")
         if self.leaves_the_machine() and self.tls is None:
-            raise Misconfigured(f"--listen {self.listen}: passwords and commands would travel in clear; add --tls, or "
-                                "--no-tls where that network is yours alone")
+            raise Misconfigured(f"--listen {self.listen}: passwords and commands would travel in clear; fix: add --tls, or "
+                                "--no-tls in a network that you trust")
         if any(c.isspace() for c in str(self.folder)):
-            raise Misconfigured(f"--folder '{self.folder}': expected a path without blanks")
+            raise Misconfigured(f"--folder '{self.folder}': expected a path without blanks; fix: choose another folder")
 
     def leaves_the_machine(self):
         return self.listen not in ("localhost", "::1") and not self.listen.startswith("127.")

@@ -90,45 +90,50 @@ int measure(const ChannelSettings& settings, std::uint64_t seed, const Workload&
 
 int main(int argc, char** argv) {
     CLI::App app{
-        "A lossy radio link between two network namespaces that the run makes for itself (root, or a user "
-        "who may have user namespaces).\n\n"
-        "  axon-channel --loss 2.2 --delay 2 run --left 'iperf3 -s' --right 'iperf3 -c $AXON_CHANNEL_THERE'\n"
-        "  axon-channel --loss 10 --outage 60 --outage-every 1000 measure\n\n"
-        "Exit status: of the right side's command; measure: 1 when a stop never arrived; 2 wrongly called; "
-        "77 when this\nmachine does not permit namespaces or TUN devices."};
+        "Emulates a lossy radio link between two network namespaces, which it makes for the run (as root, or "
+        "as a user who may have user namespaces).\n\n  axon-channel --loss 2.2 --delay 2 run --left 'iperf3 "
+        "-s' --right 'iperf3 -c $AXON_CHANNEL_THERE'\n  axon-channel --loss 10 --outage 60 --outage-every "
+        "1000 measure\n\nExit status: that of the right side's command; for measure, 1 if a stop never "
+        "arrived; 2 called wrongly; 77 if\nthis machine does not permit namespaces or TUN devices."};
     double loss = 0, bad_loss = 100, to_bad = 0, to_good = 0, outage = 0, every = 0, delay = 0, jitter = 0,
            rate = 0;
     std::uint64_t seed = 1;
-    app.add_option("--loss", loss, "Packets lost, in percent, each by itself")->check(CLI::Range(0.0, 100.0));
-    app.add_option("--to-bad", to_bad,
-                   "Bursts (Gilbert-Elliott): percent of packets after which the bad state begins")
+    app.add_option("--loss", loss, "Percent of packets lost, each independently")
         ->check(CLI::Range(0.0, 100.0));
-    app.add_option("--to-good", to_good, "… and after which it ends")->check(CLI::Range(0.0, 100.0));
-    app.add_option("--bad-loss", bad_loss, "… and percent lost in it [100]")->check(CLI::Range(0.0, 100.0));
-    app.add_option("--outage", outage, "Nothing passes for so many milliseconds")
+    app.add_option("--to-bad", to_bad,
+                   "Loss in bursts (Gilbert-Elliott): percent of packets after which the bad state begins")
+        ->check(CLI::Range(0.0, 100.0));
+    app.add_option("--to-good", to_good, "Percent of packets after which the bad state ends")
+        ->check(CLI::Range(0.0, 100.0));
+    app.add_option("--bad-loss", bad_loss, "Percent of packets lost in the bad state [100]")
+        ->check(CLI::Range(0.0, 100.0));
+    app.add_option("--outage", outage, "Outage during which nothing passes, in milliseconds")
         ->check(CLI::NonNegativeNumber);
-    app.add_option("--outage-every", every, "… again and again, with this mean time in between")
+    app.add_option("--outage-every", every, "Mean time between outages, in milliseconds")
         ->check(CLI::NonNegativeNumber);
-    app.add_option("--delay", delay, "Milliseconds, one way")->check(CLI::NonNegativeNumber);
-    app.add_option("--jitter", jitter, "Up to so many milliseconds more; the order is kept")
+    app.add_option("--delay", delay, "Delay one way, in milliseconds")->check(CLI::NonNegativeNumber);
+    app.add_option("--jitter", jitter,
+                   "Additional random delay, at most this many milliseconds; packets keep their order")
         ->check(CLI::NonNegativeNumber);
-    app.add_option("--rate", rate, "kbit/s; 0 = unlimited")->check(CLI::NonNegativeNumber);
-    app.add_option("--seed", seed, "Of losses, outages and jitter [1]");
+    app.add_option("--rate", rate, "Rate in kbit/s; 0 = unlimited")->check(CLI::NonNegativeNumber);
+    app.add_option("--seed", seed, "Seed of losses, outages and jitter [1]");
 
     std::string left, right, json;
     Workload workload;
     auto* const run_it =
-        app.add_subcommand("run", "A shell command on either side; the run ends with the right one");
+        app.add_subcommand("run", "Run a shell command on each side; the run ends with the right one");
     run_it->add_option("--left", left,
-                       "Started first, ended with SIGTERM; AXON_CHANNEL_HERE and _THERE are the addresses");
+                       "Command that is started first and ended with SIGTERM. AXON_CHANNEL_HERE and "
+                       "AXON_CHANNEL_THERE are the addresses of its own and the other side");
     run_it->add_option("--right", right)->required();
-    auto* const measure_it =
-        app.add_subcommand("measure", "How long isolated stops take: TCP, TCP with options, with datagrams");
-    measure_it->add_option("--stops", workload.stops, "For each way [2000]")->check(CLI::Range(1, 1'000'000));
+    auto* const measure_it = app.add_subcommand(
+        "measure", "Measure how long isolated stops take: with TCP, with TCP options, with datagrams");
+    measure_it->add_option("--stops", workload.stops, "Stops for each way [2000]")
+        ->check(CLI::Range(1, 1'000'000));
     measure_it->add_option("--flows", workload.flows, "Connections among which they are shared [100]")
         ->check(CLI::Range(1, 1000));
-    measure_it->add_option("--json", json, "File for the figures");
-    auto* const probe_it = app.add_subcommand("probe", "Says whether this machine permits it");
+    measure_it->add_option("--json", json, "Write the figures to this file");
+    auto* const probe_it = app.add_subcommand("probe", "Say whether this machine permits it");
     app.require_subcommand(1);
     try {
         app.parse(argc, argv);

@@ -29,8 +29,8 @@ using namespace std::chrono_literals;
 
 constexpr int kMtu = 1500;
 
-void require(bool done, const std::string& what, const char* mend) {
-    if (!done) throw NotPermitted(what + ": " + std::strerror(errno) + "; " + mend);
+void require(bool done, const std::string& what, const char* fix) {
+    if (!done) throw NotPermitted(what + ": " + std::strerror(errno) + "; fix: " + fix);
 }
 
 /// Who is not root becomes it in a user namespace of its own, where the kernel lets ordinary users have one.
@@ -74,20 +74,20 @@ class Configuration {
         return request;
     }
     void set(unsigned long what, ifreq& request, const char* name) const {
-        require(::ioctl(fd_, what, &request) == 0, name, "CAP_NET_ADMIN is needed");
+        require(::ioctl(fd_, what, &request) == 0, name, "run it as root, or with CAP_NET_ADMIN");
     }
     const int fd_;
 };
 
 /// The calling thread is in the new namespace afterwards.
 std::pair<int, int> makeSide(const char* here, const char* there) {
-    require(::unshare(CLONE_NEWNET) == 0, "a network namespace", "CAP_SYS_ADMIN is needed: run it as root");
+    require(::unshare(CLONE_NEWNET) == 0, "a network namespace", "run it as root, or with CAP_SYS_ADMIN");
     const int tun = ::open("/dev/net/tun", O_RDWR | O_CLOEXEC | O_NONBLOCK);
-    require(tun >= 0, "/dev/net/tun", "the kernel's module tun, and permission for the device, are needed");
+    require(tun >= 0, "/dev/net/tun", "load the kernel's module tun, and permit the device");
     ifreq request{};
     std::strncpy(request.ifr_name, "radio0", IFNAMSIZ - 1);
     request.ifr_flags = IFF_TUN | IFF_NO_PI;
-    require(::ioctl(tun, TUNSETIFF, &request) == 0, "a TUN device", "CAP_NET_ADMIN is needed");
+    require(::ioctl(tun, TUNSETIFF, &request) == 0, "a TUN device", "run it as root, or with CAP_NET_ADMIN");
     const Configuration configuration;
     configuration.up("lo");
     configuration.address("radio0", SIOCSIFADDR, here);
@@ -95,7 +95,7 @@ std::pair<int, int> makeSide(const char* here, const char* there) {
     configuration.mtu("radio0");
     configuration.up("radio0");
     const int space = ::open("/proc/thread-self/ns/net", O_RDONLY | O_CLOEXEC);
-    require(space >= 0, "/proc/thread-self/ns/net", "/proc must be mounted");
+    require(space >= 0, "/proc/thread-self/ns/net", "mount /proc");
     return {space, tun};
 }
 
@@ -196,7 +196,7 @@ TwoSides::~TwoSides() {
 
 void TwoSides::enter(Side side) const {
     require(::setns(namespaces_[static_cast<int>(side)], CLONE_NEWNET) == 0, "entering a network namespace",
-            "CAP_SYS_ADMIN is needed");
+            "run it as root, or with CAP_SYS_ADMIN");
 }
 
 pid_t TwoSides::start(Side side, const std::string& command) const {

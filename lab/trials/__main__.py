@@ -67,16 +67,16 @@ def parse(arguments):
     parser = argparse.ArgumentParser(
         prog="axon-lab-trials", description="Tries the robots in the virtual laboratory over many seeds, judged by ground truth.",
         epilog=EPILOG.format(scenarios=told, promised=promised), formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenario", choices=[*SCENARIOS, "all"], default="transport", metavar="NAME", help="which (transport); below")
-    parser.add_argument("--seeds", type=seeds, default=range(1, 21), metavar="A..B", help="which seeds (1..20)")
-    parser.add_argument("--jobs", type=positive(int), default=1, metavar="N", help="so many laboratories at once (1); each wants two thirds of a core")
+    parser.add_argument("--scenario", choices=[*SCENARIOS, "all"], default="transport", metavar="NAME", help="scenario to play (transport); listed below")
+    parser.add_argument("--seeds", type=seeds, default=range(1, 21), metavar="A..B", help="seeds to play (1..20)")
+    parser.add_argument("--jobs", type=positive(int), default=1, metavar="N", help="number of laboratories at once (1); each needs two thirds of a core")
     parser.add_argument("--speed", type=positive(float), default=1.0, metavar="N",
-                        help="seconds of the laboratory, its robots and Axon in one second (1), as far as the machine can")
-    parser.add_argument("--minutes", type=positive(float), default=30, metavar="M", help="of the laboratory's time, for wander (30)")
-    parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="every seed with its figures")
-    parser.add_argument("--keep-logs", action="store_true", help="the logs of all seeds stay, not only of those that failed")
-    parser.add_argument("--folder", type=pathlib.Path, help="where logs and pictures go (a new one in the temporary folder)")
-    parser.add_argument("--programs", type=pathlib.Path, help="where Axon's programs lie (beside axon-lab-trials)")
+                        help="seconds of the laboratory, its robots and Axon per second (1), if the machine is fast enough")
+    parser.add_argument("--minutes", type=positive(float), default=30, metavar="M", help="duration of wander, in the laboratory's time (30)")
+    parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="write every seed with its figures to this file")
+    parser.add_argument("--keep-logs", action="store_true", help="keep the logs of all seeds, not only of those that failed")
+    parser.add_argument("--folder", type=pathlib.Path, help="folder for logs and pictures (a new one in the temporary folder)")
+    parser.add_argument("--programs", type=pathlib.Path, help="folder of Axon's programs (that of axon-lab-trials)")
     options = parser.parse_args(arguments)
     options.programs = (options.programs or pathlib.Path(sys.argv[0]).resolve().parent).resolve()
     return parser, options

@@ -11,11 +11,11 @@ namespace axon::client {
 
 /// The one thread that runs the user's callbacks, in order, and the queue before it.
 ///
-/// Bounds: from kBound on the oldest callback that may be left out is (a sample, raw data, a change of an
-/// entity, progress of a task), and counted. What must not be left out may be kMost, more than a client hears
-/// of at once when it joins; beyond it post() says that the user does not return from callbacks. Threads:
-/// any; the destructor and close() join the thread. Failure: what a callback throws is logged and ends
-/// nothing.
+/// Bounds: beyond kBound callbacks, the oldest one that may be left out (a sample, raw data, a change of an
+/// entity, progress of a task) is dropped and counted. Callbacks that must not be left out may be kMost, more
+/// than a client hears of at once when it joins. Beyond kMost, post() reports that the user does not return
+/// from callbacks. Threads: any; the destructor and close() join the thread. Failure: an exception from a
+/// callback is logged and ends nothing.
 class CallbackQueue {
   public:
     static constexpr std::size_t kBound = 4096;
@@ -28,13 +28,14 @@ class CallbackQueue {
     CallbackQueue(const CallbackQueue&) = delete;
     CallbackQueue& operator=(const CallbackQueue&) = delete;
 
-    /// False: the queue is full of callbacks that must not be left out, and this one was not taken. It is
-    /// called after the next wake(): who posts under a lock that callbacks take wakes when it has left it.
+    /// Returns false if the queue is full of callbacks that must not be left out; this one was not taken
+    /// then. The callback runs after the next wake(). A thread that posts under a lock which callbacks also
+    /// take calls wake() when it has released that lock.
     bool post(std::function<void()> callback, bool may_be_left_out);
     void wake() { changed_.notify_one(); }
     bool isThisThread() const { return std::this_thread::get_id() == thread_.get_id(); }
     std::uint64_t leftOut() const;
-    /// After this nothing is called any more. Not from a callback.
+    /// No callback runs after it has returned. Must not be called from a callback.
     void close();
 
   private:

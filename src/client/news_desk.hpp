@@ -19,7 +19,7 @@
 
 namespace axon::client {
 
-/// What the core says, to the program: to its handles, its watches, its uploads and its callbacks.
+/// Passes what the core reports on to the program: to its handles, watches, uploads and callbacks.
 ///
 /// Where in the flow: between SessionCore, which calls it as its SessionObserver under its lock, and the
 /// callback thread, on which the program is told. Ownership: it knows tasks and runs weakly, as long as they
@@ -65,8 +65,8 @@ class NewsDesk final : public SessionObserver {
     /// Returns the number of the watch.
     std::uint64_t addWatch(const std::string& entity, const std::vector<std::string>& streams,
                            std::function<void(const Sample&)> callback);
-    /// Its entity and streams; entity empty when there is none (any more). Its callback is not called again,
-    /// apart from a call that is under way.
+    /// Returns the watch's entity and streams; the entity is empty if there is no such watch, or no longer.
+    /// Its callback is not called again, apart from a call that is under way.
     std::pair<std::string, std::vector<std::string>> removeWatch(std::uint64_t watch);
 
     // From a use of the core.
@@ -83,7 +83,7 @@ class NewsDesk final : public SessionObserver {
     void setOnEntity(std::function<void(Presence, const Entity&)> callback);
     void setOnConnection(std::function<void(bool, const std::string&)> callback);
     bool isCallbackThread() const { return callbacks_.isThisThread(); }
-    /// No callback is called any more. Not from a callback.
+    /// No callback runs after it has returned. Must not be called from a callback.
     void close() { callbacks_.close(); }
 
   private:

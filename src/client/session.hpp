@@ -49,9 +49,9 @@ class Client::Session final : public LeaseOffers,
     Result<void> connect();
     void close();
 
-    /// Who sends what a use of the core gave to send: the calling thread, when it is the user's and does not
-    /// send fast, or the sender's thread. The threads of heartbeats, deadlines and signals send no data:
-    /// whoever floods the data lane must not hold them up.
+    /// Which thread sends the messages of a use of the core: the calling thread, if it is the user's and does
+    /// not send fast, or the sender's thread. The threads of heartbeats, deadlines and signals send no data,
+    /// so that a flood on the data lane cannot hold them up.
     enum class Sends : std::uint8_t { Here, Sender };
     /// Runs `use` on the core under its lock; then what it gave to send leaves (depart()).
     template <class Use>

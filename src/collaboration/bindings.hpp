@@ -45,8 +45,8 @@ struct Candidate {
 /// Why one candidate cannot play a role.
 struct Unfit {
     std::string entity, name;
-    Refusal why;       ///< a sentence without its subject: "is held by ana@lab, and was stopped"
-    int distance = 0;  ///< how far it is from being able: 1 a rearm, … 8 another kind of entity
+    Refusal why;       ///< the message is a predicate: "is held by ana@lab, and was stopped"
+    int distance = 0;  ///< how much is missing, 1 to 8 (axon/global.hpp)
 };
 
 /// What was found for one role.
@@ -54,15 +54,15 @@ struct RoleOutlook {
     int role = 0;
     std::string wanted;             ///< "ROBOT/MOBILE with drive, look"
     std::string kind;               ///< "ROBOT/MOBILE"
-    std::vector<std::string> able;  ///< names of those that could play it now
-    std::vector<Unfit> unfit;       ///< nearest first
-    std::string entity, name;       ///< who plays it; empty = nobody
+    std::vector<std::string> able;  ///< names of the candidates that could play it now
+    std::vector<Unfit> unfit;       ///< the other candidates, smallest distance first
+    std::string entity, name;       ///< the candidate that is proposed; empty = none
 };
 
 struct Proposal {
     std::vector<RoleOutlook> roles;          ///< in order of their numbers
-    std::vector<std::string> nobody_offers;  ///< services that no candidate has, of whatever kind
-    Refusal why;                             ///< role by role, one line each; OK when every role is played
+    std::vector<std::string> nobody_offers;  ///< services that no candidate of any kind offers
+    Refusal why;  ///< why roles have no entity, one line per role; OK = all have one
 
     bool complete() const { return why.ok(); }
 };

@@ -20,34 +20,35 @@ inline constexpr int kStepsMax = 1'000;
 inline constexpr int kParticipantsMax = 256;
 inline constexpr int kProblemsMax = 50;
 
-/// Nothing comes after it.
+/// No other state follows a final one.
 inline bool isFinal(proto::TaskState state) {
     return state >= proto::TASK_SUCCEEDED;
 }
 
-/// Instead of the problems that are not told one by one.
+/// Stands for `count` problems that are not reported one by one.
 proto::Problem andMore(int count);
 
 /// Times that a master keeps.
 struct Pace {
-    /// A participant that is silent for so long is lost; a beat goes to it five times in that, or in its own
-    /// if that is shorter.
+    /// A participant that is silent for this long is lost. It is sent five heartbeats within this time, or
+    /// within its own watchdog time if that is shorter.
     Duration watchdog = std::chrono::milliseconds{250};
     /// For the answer to an invitation, and for the first word about a step that was ordered.
     Duration answer_within = std::chrono::seconds{5};
-    /// For a step that was told to end or to pause to do so, and for one of the compensation to begin once
-    /// its participant could; then everybody is stopped.
+    /// The time that a step has to end or to pause when it is told to, and a step of the compensation to
+    /// begin when its participant can. After it, all participants are stopped.
     Duration end_within = std::chrono::seconds{10};
-    /// Between events that tell of nothing but steps. Each costs the master about as much as an order.
+    /// The shortest time between events that report only steps. An event costs the master about as much as an
+    /// order.
     Duration event_period = std::chrono::milliseconds{10};
 };
 
-/// How often those beat who watch each other with these: five times in the shorter one. `other` as it was
-/// told; 0 = not told. Never more often than in the shortest watchdog that can be configured.
+/// The period of the heartbeats between two peers with these watchdog times: a fifth of the shorter one, but
+/// never less than the shortest configurable watchdog allows. `other_ms` is the peer's; 0 = not known.
 Duration beatPeriod(Duration own, std::uint32_t other_ms);
 
-/// Whether somebody wanted the end that has this reason, or who was responsible has gone; all else is a
-/// failure.
+/// Whether this reason means that somebody ended the run on purpose, or that the responsible client or server
+/// has gone. Every other reason is a failure.
 bool isStop(const Refusal& reason);
 
 /// One run of a global service, as its master sees it (thesis 3.3.1 COLLAB; docs/adr/0019-collaboration.md):

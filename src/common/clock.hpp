@@ -17,8 +17,8 @@ class Clock {
     virtual ~Clock() = default;
     virtual TimePoint now() const = 0;
     /// How long a thread really waits (on CLOCK_MONOTONIC) before it looks again whether `deadline` has come;
-    /// zero or less once it has. Not longer than that takes, perhaps less: who waits asks again until now()
-    /// says so.
+    /// zero or less once it has. Never longer than that takes, but it can be shorter: a waiting thread asks
+    /// again until now() has reached the deadline.
     virtual Duration realTimeUntil(TimePoint deadline) const { return deadline - now(); }
 };
 

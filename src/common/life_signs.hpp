@@ -11,7 +11,7 @@
 
 namespace axon {
 
-/// When a peer was heard of last, and how near it came to being given up: the longest gap between two of its
+/// When a peer was last heard, and how close it came to being given up: the longest gap between two of its
 /// signs of life in the last minute, measured against what its watchdog allowed at the time. A watchdog that
 /// trips without a warning is switched off by its users; this is what they are warned with.
 ///

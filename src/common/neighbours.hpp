@@ -17,8 +17,8 @@ namespace axon {
 /// How something came from another server: by the topic, or straight.
 enum class Via : std::uint8_t { Topic, Straight };
 
-/// The servers of one kind as one of several servers sees them: who there is, where they take signals, and
-/// who lives (safety.md, "Watchdogs").
+/// The servers of one kind as another server sees them: which there are, where they take signals, and which
+/// are alive (safety.md, "Watchdogs").
 ///
 /// Where in the flow: both servers' cores feed it what the others announce, by the topic and directly, and
 /// their timers ask for news. States of a neighbour:
@@ -39,14 +39,14 @@ class Neighbours {
         Duration met = std::chrono::seconds{3};  ///< of one that was never heard directly
     };
     struct News {
-        std::vector<std::string> lost;     ///< fell silent, or started anew: what came by it is gone
+        std::vector<std::string> lost;     ///< silent, or restarted: everything that came through it is gone
         std::vector<std::string> arrived;  ///< is there, or there again
         /// Whom to send signals to directly, where that has changed.
         std::optional<std::vector<ServerAnnouncement>> reachable;
         TimePoint next;  ///< when to ask again
     };
     static constexpr std::size_t kMost = 256;
-    /// One that was not heard at all for so long is not sent to any more, and after `kForget` forgotten.
+    /// Nothing is sent to a neighbour that was not heard for this long. It is forgotten after `kForget`.
     static constexpr std::chrono::seconds kReach{3};
     static constexpr std::chrono::seconds kForget{60};
 
@@ -64,9 +64,9 @@ class Neighbours {
 
     /// Whether the server that serves this client, by its id, is there. True where nobody has said otherwise.
     bool serves(std::string_view client_id) const;
-    /// Whether this server was there and is not any more.
+    /// Whether this server was there and no longer is.
     bool lost(std::string_view server) const;
-    /// Whether it has been heard directly within so long.
+    /// Whether it has been heard directly within this time.
     bool hears(std::string_view server, Duration within, TimePoint now) const;
     std::size_t size() const;
 

@@ -33,7 +33,7 @@ inline constexpr std::size_t kUserDigits = 14;
 /// The beginning of the ids of a user's sessions, such as "0a1b2c3d-4e5f-"; the same at all servers.
 std::string userPart(std::string_view user);
 
-/// OVERLOADED: no more messages of this sender are taken for `consumer`, who reads slowly.
+/// OVERLOADED: the queue of `consumer`, which reads slowly, takes no more messages of this sender.
 Refusal queueShareFull(const std::string& consumer);
 
 }  // namespace axon

@@ -10,14 +10,14 @@ namespace axon {
 /// Entities that one client may drill in a second.
 inline constexpr std::uint32_t kDrillsPerSecond = 1000;
 
-/// Tells a flood from traffic: at most so many messages in each second of the clock. Threads: any; two that
-/// begin a new second at once may admit a few more.
+/// Admits at most `per_second` messages in each second of the clock. Threads: any. If two threads begin a new
+/// second at the same time, a few more can be admitted.
 class RateLimit {
   public:
     explicit RateLimit(std::uint32_t per_second) : per_second_(per_second) {}
 
-    /// `count`: of messages that are like so many. The first that goes beyond is still admitted if it began
-    /// within.
+    /// `count`: how many messages this one counts as. A message that begins within the limit is admitted even
+    /// if it ends beyond it.
     bool admit(TimePoint now, std::uint32_t count = 1) {
         const auto second = std::chrono::duration_cast<std::chrono::seconds>(now.time_since_epoch()).count();
         if (second_.load(std::memory_order_relaxed) != second) {

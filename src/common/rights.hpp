@@ -7,8 +7,8 @@
 
 namespace axon {
 
-/// Whose message is carried out. Where nothing else is said, an operator may do whatever an observer may, and
-/// an administrator whatever an operator may.
+/// Who may send a message. An operator may do everything that an observer may, and an administrator
+/// everything that an operator may, unless a value says otherwise.
 enum class Who : std::uint8_t {
     Anyone,
     Operator,  ///< not an observer: PERMISSION_DENIED

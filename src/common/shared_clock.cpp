@@ -24,11 +24,11 @@ const SharedClockPage* mapPage(const std::string& path) {
     const auto fail = [&](const std::string& what) {
         throw std::runtime_error("AXON_CLOCK=" + path + ": " + what);
     };
-    constexpr auto* kMend =
-        "start the laboratory first, with axon-lab --clock and this file, or unset AXON_CLOCK for the time "
-        "of this machine";
+    constexpr auto* kFix =
+        "start the laboratory first, with axon-lab --clock and this file, or unset AXON_CLOCK to use the "
+        "time of this machine";
     const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0) fail(std::string(std::strerror(errno)) + ": " + kMend);
+    if (file < 0) fail(std::string(std::strerror(errno)) + "; fix: " + kFix);
     struct stat status {};
     const bool whole = ::fstat(file, &status) == 0 && S_ISREG(status.st_mode) &&
                        status.st_size == static_cast<off_t>(sizeof(SharedClockPage));
@@ -41,11 +41,12 @@ const SharedClockPage* mapPage(const std::string& path) {
         const auto silent = SteadyClock{}.now() - told;
         if (silent >= Duration::zero() && silent <= SharedClockPage::kGoneAfter) return page;
         ::munmap(at, sizeof(SharedClockPage));
-        fail(std::string("the laboratory that told its time here is gone: ") + kMend);
+        fail(std::string("the laboratory that wrote its time here is gone; fix: ") + kFix);
     }
     if (page != nullptr) ::munmap(at, sizeof(SharedClockPage));
     fail("expected " + std::string(SharedClockPage::kMagic) + " of " +
-         std::to_string(sizeof(SharedClockPage)) + " bytes, this is no laboratory's time: " + kMend);
+         std::to_string(sizeof(SharedClockPage)) +
+         " bytes, but this is not the clock file of a laboratory; fix: " + kFix);
     return nullptr;
 }
 
@@ -65,11 +66,11 @@ TimePoint SharedClock::now() const {
     const auto alone = page_->alone(SteadyClock{}.now());
     if (alone == Duration::zero()) return TimePoint{Duration{std::max(time_ns, latest)}};
     if (!gone_.exchange(true))
-        std::fprintf(
-            stderr,
-            "axon: the laboratory has not told its time in %s for %lld s and counts as gone: time goes on at "
-            "the pace of this machine\n",
-            path_.c_str(), static_cast<long long>(SharedClockPage::kGoneAfter / std::chrono::seconds{1}));
+        std::fprintf(stderr,
+                     "axon: the laboratory has not written its time to %s for %lld s and counts as gone; "
+                     "time goes on at the pace of this machine\n",
+                     path_.c_str(),
+                     static_cast<long long>(SharedClockPage::kGoneAfter / std::chrono::seconds{1}));
     time_ns += alone.count();
     while (latest < time_ns && !latest_ns_.compare_exchange_weak(latest, time_ns)) {
     }
@@ -88,11 +89,10 @@ std::shared_ptr<const Clock> clockFromEnvironment() {
     const char* file = std::getenv("AXON_CLOCK");
     if (file == nullptr || *file == '\0') return std::make_shared<SteadyClock>();
     auto clock = std::make_shared<SharedClock>(file);
-    std::fprintf(
-        stderr,
-        "axon: time is that of the laboratory in %s (AXON_CLOCK), watchdogs included: for trials, never for "
-        "real robots\n",
-        file);
+    std::fprintf(stderr,
+                 "axon: all time, watchdogs included, is the laboratory's time in %s (AXON_CLOCK); use this "
+                 "for trials, never for real robots\n",
+                 file);
     return clock;
 }
 

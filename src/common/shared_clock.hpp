@@ -11,19 +11,20 @@
 
 namespace axon {
 
-/// The file in which a virtual laboratory (axon-lab --clock) tells its time to other programs, mapped by all
-/// of them; numbers in the machine's byte order. The laboratory writes it after each of its steps (4 ms of
-/// its time), and many times a second while its time stands.
+/// The file in which a virtual laboratory (axon-lab --clock) publishes its time. All programs map it; numbers
+/// are in the machine's byte order. The laboratory writes it after each of its steps (4 ms of its time), and
+/// many times a second while its time stands still.
 ///
 /// The time never goes back and is not zero at the start, as a ManualClock's. A laboratory that does not
-/// write for kGoneAfter counts as gone. Its time then goes on at the pace of the machine, for every reader by
-/// the same rule, since watchdogs must not stand still for ever; one that comes back goes on from there.
+/// write for kGoneAfter counts as gone. Its time then goes on at the pace of the machine, by the same rule
+/// for every reader, because a watchdog that stands still for ever would stop nothing. A laboratory that
+/// comes back goes on from there.
 struct SharedClockPage {
     static constexpr std::string_view kMagic = "AXONCLK2";
     static constexpr Duration kGoneAfter = std::chrono::seconds{5};
     static constexpr Duration kStep = std::chrono::milliseconds{4};
 
-    char magic[8];                      ///< written last: who sees it sees the rest
+    char magic[8];                      ///< written last: a reader that sees it sees the rest
     std::atomic<std::int64_t> time_ns;  ///< the laboratory's time; written after told_ns, read before it
     std::atomic<std::int64_t> told_ns;  ///< CLOCK_MONOTONIC when the laboratory last wrote
     std::atomic<double> rate;  ///< seconds of its time in a second, as it was asked for; 0 while it stands
@@ -41,9 +42,9 @@ static_assert(std::atomic<std::int64_t>::is_always_lock_free && std::atomic<doub
 /// faster as the laboratory does, and stand still, watchdogs included, while it stands. Maps the laboratory's
 /// file; no system call after that. now() moves in steps of the laboratory's.
 ///
-/// Threads: any. Failure: the constructor throws std::runtime_error with the mend for a file that is missing
-/// or no such page, and for one of a laboratory that is gone. A laboratory that goes later is told once on
-/// standard error; see SharedClockPage.
+/// Threads: any. Failure: the constructor throws std::runtime_error for a file that is missing or
+/// not such a page, and for the file of a laboratory that is gone; its text says how to fix that. The loss of
+/// the laboratory later is reported once on standard error; see SharedClockPage.
 class SharedClock final : public Clock {
   public:
     explicit SharedClock(const std::string& path);

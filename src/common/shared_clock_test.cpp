@@ -153,19 +153,19 @@ TEST_F(SharedClockTest, WhatIsNoLaboratorysTimeIsRefusedWithTheMend) {
         EXPECT_NE(said.find("axon-lab --clock"), std::string::npos) << said;
     };
     refused(folder_ / "none", "No such file");
-    refused(folder_, "no laboratory's time");
+    refused(folder_, "not the clock file of a laboratory");
     std::ofstream(folder_ / "empty");
-    refused(folder_ / "empty", "no laboratory's time");
+    refused(folder_ / "empty", "not the clock file of a laboratory");
     std::ofstream(folder_ / "first") << std::string("AXONCLK1") + std::string(8, '\0');
-    refused(folder_ / "first", "no laboratory's time");
+    refused(folder_ / "first", "not the clock file of a laboratory");
     std::ofstream(folder_ / "foreign") << std::string(sizeof(SharedClockPage), 'x');
-    refused(folder_ / "foreign", "no laboratory's time");
+    refused(folder_ / "foreign", "not the clock file of a laboratory");
     tell(1000s, 1, real() - SharedClockPage::kGoneAfter - 1s);
     refused(file(), "gone");
     tell(1000s, 1, real() + 3600s);  // of an earlier start of the machine
     refused(file(), "gone");
     fs::resize_file(file(), sizeof(SharedClockPage) - 1);
-    refused(file(), "no laboratory's time");
+    refused(file(), "not the clock file of a laboratory");
 }
 
 TEST_F(SharedClockTest, AProgramTakesTheLaboratorysTimeWhereTheEnvironmentSaysSo) {

@@ -30,7 +30,7 @@ class SnapshotTable {
         const auto found = piece->find(key);
         return found == piece->end() ? Value{} : found->second;
     }
-    /// `use(value)` for each; no lock is held meanwhile.
+    /// Calls `use(value)` for each value, without holding a lock.
     template <class Use>
     void each(Use&& use, std::size_t lane = 0) const {
         for (const auto& lanes : pieces_) {

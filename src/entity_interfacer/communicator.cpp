@@ -100,8 +100,8 @@ Communicator::Communicator(EntityInterfacer::Options options)
         options_.instance.size() > kNameMax || validUtf8(options_.application) != options_.application ||
         validUtf8(options_.instance) != options_.instance)
         misconfigured(
-            "Options::application: expected the name that the Entity Manager is configured with, 1 to 255 "
-            "characters of UTF-8: set it");
+            "Options::application, instance: expected the name with which the Entity Manager is configured, "
+            "1 to 255 bytes of UTF-8, and an instance of at most 255; fix: correct them");
     address_ = options_.address;
     if (options_.ports_file.empty()) {
         const auto range =
@@ -120,12 +120,12 @@ Communicator::Communicator(EntityInterfacer::Options options)
     }
     in_addr parsed{};
     if (inet_pton(AF_INET, address_.c_str(), &parsed) != 1)
-        misconfigured("address '" + address_ + "': expected an IPv4 address such as 127.0.0.1: correct it");
+        misconfigured("address '" + address_ +
+                      "': expected an IPv4 address such as 127.0.0.1; fix: correct it");
     if (!options_.beyond_loopback && !isLoopback(address_))
-        misconfigured(
-            "address " + address_ +
-            ": expected a loopback address (127.x.y.z), for the link has no authentication: use one, or set "
-            "Options::beyond_loopback on a network you trust");
+        misconfigured("address " + address_ +
+                      ": expected a loopback address (127.x.y.z), because the link has no authentication; "
+                      "fix: use one, or set Options::beyond_loopback on a network that you trust");
 }
 
 Communicator::~Communicator() {
@@ -133,7 +133,10 @@ Communicator::~Communicator() {
 }
 
 Communicator::Callbacks& Communicator::settableCallbacks() {
-    if (started_) throw std::logic_error("axon: callbacks and handlers are set before start() or run()");
+    if (started_)
+        throw std::logic_error(
+            "axon: a callback or handler was set after start(); fix: set all of them before start() or "
+            "run()");
     return callbacks_;
 }
 
@@ -183,19 +186,21 @@ void Communicator::listen() {
             return;
         }
         if (errno != EADDRINUSE)
-            misconfigured("cannot listen on " + address_ + ":" + std::to_string(port) + ": " +
-                          std::strerror(errno) +
-                          ": expected an address of this machine: correct Axon.Address or Options::address");
+            misconfigured(
+                "cannot listen on " + address_ + ":" + std::to_string(port) + ": " + std::strerror(errno) +
+                "; expected an address of this machine; fix: correct Axon.Address or Options::address");
     }
     misconfigured("every port of " + std::to_string(ports_.first) + "-" + std::to_string(ports_.last) +
                   " on " + address_ +
-                  " is in use: expected a free one: widen the range in ports.cfg of both the application and "
-                  "its Entity Manager");
+                  " is in use; expected a free one; fix: widen the range in ports.cfg of both the "
+                  "application and its Entity Manager");
 }
 
 void Communicator::start() {
     const std::lock_guard lock(shutdown_mutex_);
-    if (shut_down_) throw std::logic_error("axon: start() after shutdown()");
+    if (shut_down_)
+        throw std::logic_error(
+            "axon: start() was called after shutdown(); fix: make another EntityInterfacer");
     if (started_) return;
     listen();
     started_ = true;
@@ -209,7 +214,9 @@ void Communicator::start() {
 void Communicator::run() {
     const WakeUp* none = nullptr;
     if (!running_program.compare_exchange_strong(none, &run_wake_))
-        throw std::logic_error("axon: one run() per process at a time");
+        throw std::logic_error(
+            "axon: run() was called while another run() of this process has not returned; fix: use start() "
+            "for the second EntityInterfacer");
     struct sigaction action {
     }, former_int{}, former_term{};
     action.sa_handler = onSignalOfProcess;
@@ -273,7 +280,7 @@ void Communicator::shutdown() {
         for (const auto& running : tasks_)
             if (!running.done->load())
                 log(LogLevel::Warning, "shutting down waits for the handler of '" + running.task->service +
-                                           "': it should return when stopRequested() is true");
+                                           "'; fix: return from it when stopRequested() is true");
     }
     reapTasks();
 }
@@ -299,8 +306,8 @@ void Communicator::stopThread() {
     this_thread_of = this;
     if (!becomeRealTime(kStopPriority))
         note(LogLevel::Info,
-             "the stop thread runs with ordinary priority: real-time scheduling is not permitted here "
-             "(CAP_SYS_NICE or an rtprio limit would allow it)");
+             "the stop thread runs with ordinary priority, because real-time scheduling is not permitted; "
+             "fix: CAP_SYS_NICE or an rtprio limit allows it");
     unsigned faults_seen = 0;
     while (true) {
         std::array<pollfd, 2> wait{pollfd{stop_wake_.fd(), POLLIN, 0},
@@ -447,9 +454,9 @@ void Communicator::callStop(const StopSignal& called) {
     manager_heard_.allow({}, now());  // nobody listened while the callback ran
     in_callback_ = false;
     if (!thrown.empty() && !failed_before)
-        note(LogLevel::Error,
-             "the stop callback has not stopped the robot (" + thrown +
-                 "): it is called again until it returns, and nothing starts before; catch inside onStop");
+        note(LogLevel::Error, "the stop callback has not stopped the robot (" + thrown +
+                                  "); it is called again until it returns, and no task starts before that; "
+                                  "fix: catch exceptions inside onStop");
     if (thrown.empty() && failed_before) note(LogLevel::Info, "the stop callback that threw has returned");
     const bool linked = signal_link_ && !signal_link_->lost();
     if (over) {
@@ -585,7 +592,7 @@ bool Communicator::readHello(Pending& pending) {
     proto::EmToEi message;
     if (!message.ParseFromString(payload) || !message.has_hello()) {
         refuse(pending, RefusalCode::Malformed,
-               "expected Hello as the first frame: see docs/reference/ei-link.md");
+               "expected Hello as the first frame; fix: see docs/reference/ei-link.md");
         return true;
     }
     return onHello(pending, message.hello());
@@ -598,11 +605,12 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
     };
     if (hello.protocol() != kProtocol)
         return no(RefusalCode::NotSupported, "protocol " + std::to_string(hello.protocol()) +
-                                                 ": expected 1: use an Entity Manager of this version");
+                                                 ": expected 1; fix: use an Entity Manager of this version");
     if (hello.application() != options_.application)
         return no(RefusalCode::UnknownEntity,
                   "this is the robot application '" + options_.application +
-                      "': correct the application's name in the Entity Manager's configuration, or look on");
+                      "'; fix: correct the application's name in the Entity Manager's configuration, unless "
+                      "its application listens on another port");
     if (!hello.instance().empty() && hello.instance() != options_.instance)
         return no(RefusalCode::UnknownEntity,
                   "this is instance '" + options_.instance + "' of '" + options_.application + "'");
@@ -611,20 +619,20 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
     // Who links with us takes it that we have stopped.
     if (stop_failed_)
         return no(RefusalCode::WrongState, "the stop callback of '" + options_.application +
-                                               "' throws, and is called again until it returns: mend what it "
-                                               "stops, or restart the application");
+                                               "' throws and is called again until it returns; fix: repair "
+                                               "what it stops, or restart the application");
     if (hello.nonce().size() < 8 || hello.nonce().size() > 64)
         return no(RefusalCode::Malformed, "nonce: expected 8 to 64 bytes, the same on both connections");
     if (watched_ && !watched_->lost())
         return no(RefusalCode::AlreadyHeld, "'" + options_.application +
                                                 "' is linked with another Entity Manager (" +
-                                                watched_->manager + "): end that one first");
+                                                watched_->manager + "); fix: end that one first");
     const auto half =
         std::find_if(pending_.begin(), pending_.end(), [](const Pending& p) { return !p.nonce.empty(); });
     if (hello.lane() == proto::LANE_SIGNAL) {
         if (half != pending_.end())
             return no(RefusalCode::AlreadyHeld, "another Entity Manager (" + half->manager +
-                                                    ") is just linking with '" + options_.application + "'");
+                                                    ") is linking with '" + options_.application + "'");
         pending.nonce = hello.nonce();
         pending.manager = hello.manager();
         pending.busy = watchdogFrom(hello.watchdog_busy_ms(), 250ms);
@@ -637,7 +645,7 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
     if (half == pending_.end()) return no(RefusalCode::WrongState, "expected the signal connection first");
     if (half->nonce != hello.nonce())
         return no(RefusalCode::AlreadyHeld, "another Entity Manager (" + half->manager +
-                                                ") is just linking with '" + options_.application + "'");
+                                                ") is linking with '" + options_.application + "'");
     welcome(pending, hello, nullptr);
     watched_ =
         std::make_shared<Link>(std::move(half->socket), std::move(half->reader), std::move(pending.socket),
@@ -706,8 +714,8 @@ void Communicator::checkSilence() {
         if (silent > timeout * 3 / 5 && time >= slow_warn_again_) {
             slow_warn_again_ = time + LifeSigns::kWarnAgain;
             note(LogLevel::Warning,
-                 "beats of the Entity Manager come late (more than half of the watchdog of " +
-                     std::to_string(timeout.count()) + " ms): this machine is overloaded");
+                 "heartbeats of the Entity Manager come late (after more than half of the watchdog's " +
+                     std::to_string(timeout.count()) + " ms); this machine is overloaded");
         }
         next_beat_ = std::min(next_beat_, heard + timeout);
         return;
@@ -718,7 +726,7 @@ void Communicator::checkSilence() {
         return;
     }
     watched_->cut("the Entity Manager has been silent for " + std::to_string(timeout.count()) +
-                  " ms: it hangs, or this machine is overloaded");
+                  " ms; it hangs, or this machine is overloaded");
     stop_wake_.wake();
 }
 

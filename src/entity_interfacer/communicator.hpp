@@ -168,8 +168,8 @@ class Communicator {
     bool guarded(const char* what, Call call, const std::function<void()>& last_words = {});
     /// Whether a stop has come since the Entity Manager, at this generation, passed something on.
     bool overtaken(const Link& link, std::uint32_t generation) const;
-    /// Calls what may move the robot, unless it has been overtaken; a stop that comes meanwhile is called
-    /// again.
+    /// Makes a call that may move the robot, unless a stop has overtaken it. A stop that comes during the
+    /// call is called again afterwards.
     template <class Call>
     void unlessOvertaken(const Link& link, std::uint32_t generation, Call call);
     void logNotes();
@@ -179,8 +179,8 @@ class Communicator {
 
     std::shared_ptr<Link> currentLink() const;
     void publish(std::shared_ptr<Link> link);
-    /// Stops the application and cuts the link: the Entity Manager must not start the next task. The last
-    /// words are said when nothing that answers them can begin any more.
+    /// Stops the application and cuts the link, so that the Entity Manager cannot start the next task. The
+    /// last words are sent once nothing that answers them can begin.
     void fault(const std::string& what, const std::function<void()>& last_words);
     /// A log line of the stop or the watch thread, which never wait for a logger: the data thread writes it.
     void note(LogLevel level, std::string text);

@@ -116,7 +116,7 @@ void Communicator::upload(bool services, const std::filesystem::path& file) {
     if (!text || text->empty() || text->size() > kProfileMax)
         throw Misconfiguration("axon: " + file.string() + ": expected a readable " +
                                (services ? "services" : "basic") +
-                               " profile (XML, 1 byte to 1020 KiB): create it or correct the path");
+                               " profile (XML, 1 byte to 1020 KiB); fix: create it, or correct the path");
     std::error_code ignored;
     const std::lock_guard lock(statements_mutex_);
     profiles_.at(services ? 1 : 0) = {file, std::filesystem::last_write_time(file, ignored), text->size(),
@@ -176,9 +176,9 @@ void Communicator::watchProfiles() {
             profile.send = fits;
         }
         if (fits)
-            log(LogLevel::Info, file.string() + " has changed: it is uploaded again");
+            log(LogLevel::Info, file.string() + " has changed and is uploaded again");
         else
-            log(LogLevel::Error, file.string() + ": expected at most 1020 KiB: shorten it");
+            log(LogLevel::Error, file.string() + ": expected at most 1020 KiB; fix: shorten it");
     }
 }
 
@@ -311,10 +311,10 @@ void Communicator::onConfiguration(const std::shared_ptr<Link>& link,
                          {});
         std::optional<std::string> why_not;
         if (thrown)
-            why_not =
-                "the value of " + which + " was not taken: onConfig threw" + *thrown + ": set another value";
+            why_not = "the value of " + which + " was not accepted: onConfig threw" + *thrown +
+                      "; fix: set another value";
         noteTaken(*link, one.service(), parameter.name, why_not);
-        if (thrown) log(LogLevel::Error, "'" + one.service() + "' is switched off: " + *why_not);
+        if (thrown) log(LogLevel::Error, "'" + one.service() + "' is inactive: " + *why_not);
     }
 }
 
@@ -374,7 +374,7 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
         case proto::EmToEi::kParam:
             if (overtaken(*link, message.param().stop_generation()))
                 return respond(message.param().request(), RefusalCode::OldGeneration,
-                               "a stop has come since this parameter was sent: send it again");
+                               "a stop has come since this parameter was sent; fix: send it again");
             return answer(message.param().request(), "onParameter", [&] {
                 return decideParameter(message.param().service(), fromProto(message.param().param()));
             });
@@ -462,18 +462,18 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
     };
     if (task->id.empty()) return refuse(RefusalCode::Malformed, "task id: expected 16 bytes");
     if (std::find(recent_tasks_.begin(), recent_tasks_.end(), task->id) != recent_tasks_.end())
-        return refuse(RefusalCode::Duplicate, "a task of this id has been dispatched before");
+        return refuse(RefusalCode::Duplicate, "a task with this id has been dispatched before");
     if (level_.stopped() > task->generation)
         return refuse(RefusalCode::OldGeneration,
-                      "a stop has come since this task was requested: request it again");
+                      "a stop has come since this task was requested; fix: request it again");
     // Its Entity Manager may not have heard of it yet.
     if (const auto why = valueNotTaken(task->service)) return refuse(RefusalCode::InactiveService, *why);
     const auto own = callbacks_.tasks.find(task->service);
     const auto* handler = own != callbacks_.tasks.end() ? &own->second : &callbacks_.any_task;
     if (!*handler)
-        return refuse(RefusalCode::UnknownService, "the robot application has no handler for '" +
-                                                       task->service + "': add onTask(\"" + task->service +
-                                                       "\", …) or take the service out of its profile");
+        return refuse(RefusalCode::UnknownService,
+                      "the robot application has no handler for '" + task->service + "'; fix: add onTask(\"" +
+                          task->service + "\", …) to it, or remove the service from its profile");
     for (const auto& given : dispatch.given()) {
         const auto of_task =
             given.param().values_size() > 0 ? std::nullopt : task->find(given.param().name());
@@ -512,7 +512,7 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
             data_wake_.wake();
         });
     } catch (const std::system_error&) {
-        return refuse(RefusalCode::Overloaded, "no thread for the task: the machine is out of resources");
+        return refuse(RefusalCode::Overloaded, "the task gets no thread: the machine is out of resources");
     }
     tasks_.push_back(std::move(entry));
 }

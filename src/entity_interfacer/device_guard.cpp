@@ -233,13 +233,13 @@ class DeviceGuard::Desk {
   public:
     explicit Desk(Options options) : options_(std::move(options)), looks_silence_(options_.silence) {
         if (options_.stop.empty() || options_.stop.size() > kStopMax)
-            throw std::invalid_argument("DeviceGuard: Options::stop has " +
-                                        std::to_string(options_.stop.size()) +
-                                        " bytes: expected 1 to 1024: give what stops the device");
+            throw std::invalid_argument(
+                "DeviceGuard: Options::stop has " + std::to_string(options_.stop.size()) +
+                " bytes; expected 1 to 1024; fix: set the bytes that stop the device");
         if (options_.silence < 50ms || options_.silence > 10s)
             throw std::invalid_argument("DeviceGuard: Options::silence is " +
                                         std::to_string(options_.silence.count()) +
-                                        " ms: expected 50 to 10000 ms");
+                                        " ms; expected 50 to 10000 ms");
         void* memory =
             ::mmap(nullptr, sizeof(Page), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
         if (memory == MAP_FAILED)
@@ -323,7 +323,7 @@ class DeviceGuard::Desk {
             giveUp();
         }
         log("the guard of " + options_.device +
-            " was gone or frozen: the device was stopped, and is guarded again once it is connected again");
+            " was gone or frozen; the device was stopped, and is guarded again after the next connect");
     }
     bool startGuard() {
         std::array<int, 2> ends{};

@@ -17,7 +17,7 @@ const char* toString(StopSignal::Cause cause) {
         case Cause::Requested:
             return "stop requested";
         case Cause::ClientLost:
-            return "the controlling client is lost";
+            return "the holding client is lost";
         case Cause::Released:
             return "released";
         case Cause::Improper:
@@ -50,7 +50,7 @@ void sendSample(Stream::Channel& channel, proto::EiToEm& message, std::uint64_t 
     if (!channel.communicator.send(message, Link::Kind::Droppable))
         channel.communicator.log(
             LogLevel::Error,
-            "stream '" + channel.name + "': a sample exceeds 1 MiB and was dropped: send smaller ones");
+            "stream '" + channel.name + "': a sample exceeds 1 MiB and was dropped; fix: send smaller ones");
 }
 
 /// Counts the sample even where nobody wants it; fills in and sends it otherwise.
@@ -177,7 +177,8 @@ void EntityInterfacer::sendInfoMsg(std::string_view text) {
     proto::EiToEm message;
     message.mutable_text()->set_text(validUtf8(text));
     if (!communicator_->send(message, Link::Kind::Control))
-        communicator_->log(LogLevel::Error, "sendInfoMsg: expected at most 1 MiB; the text was dropped");
+        communicator_->log(LogLevel::Error,
+                           "sendInfoMsg: the text exceeds 1 MiB and was dropped; fix: send it in parts");
 }
 void EntityInterfacer::sendTaskFeedback(const Task& task, std::string_view text) {
     Task(task).feedback(text);
@@ -196,8 +197,9 @@ void EntityInterfacer::sendRawTo(std::string_view participant, const std::vector
     message.mutable_raw()->set_to(std::string(participant));
     for (const auto& block : blocks) message.mutable_raw()->add_data(block);
     if (!communicator_->send(message, Link::Kind::Droppable))
-        communicator_->log(LogLevel::Error,
-                           "sendRaw: expected at most 1 MiB together; it was dropped: send it in parts");
+        communicator_->log(
+            LogLevel::Error,
+            "sendRaw: the blocks exceed 1 MiB together and were dropped; fix: send them in parts");
 }
 void EntityInterfacer::setPosition(double x_mm, double y_mm, double z_mm) {
     communicator_->setPosition(x_mm, y_mm, z_mm);

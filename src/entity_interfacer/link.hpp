@@ -44,8 +44,8 @@ class Link {
     /// higher one means that the application has stopped itself since.
     std::uint64_t epoch = 0;
 
-    /// Lost: nothing that arrives counts any more, no task of it begins. Last words can still be sent until
-    /// the cut, which must follow.
+    /// Marks the link as lost: whatever arrives is ignored and no task of it begins. Last words can still be
+    /// sent until cut(), which the caller must call next.
     void condemn(const std::string& reason);
     /// Tells the manager the reason, where the socket takes it, and ends both connections; the stop thread
     /// sees it as end of file. The first reason counts. `stopped`: the program ends in order, and its stop

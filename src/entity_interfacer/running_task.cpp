@@ -33,7 +33,7 @@ const Wanted& valueAs(const Parameter& parameter, const char* type) {
     if (!parameter.values.empty())
         if (const auto* value = std::get_if<Wanted>(&parameter.values.front())) return *value;
     throw std::invalid_argument("parameter '" + parameter.name + "': expected a value of type " + type +
-                                ": correct its data type in the services profile, or the call");
+                                "; fix: correct its data type in the services profile, or the call");
 }
 
 double asNumber(const Value& value, const std::string& name) {
@@ -50,7 +50,8 @@ std::vector<Wanted> valuesAs(const std::optional<Parameter>& parameter) {
         const auto* wanted = std::get_if<Wanted>(&value);
         if (wanted == nullptr)
             throw std::invalid_argument("parameter '" + parameter->name +
-                                        "': its values are of another type");
+                                        "': its values have another type; fix: call the function for the "
+                                        "data type in the services profile");
         values.push_back(*wanted);
     }
     return values;
@@ -61,7 +62,7 @@ Parameter required(const Task::Running& task, std::string_view name) {
     if (parameter) return *std::move(parameter);
     throw std::invalid_argument(
         "parameter '" + std::string(name) +
-        "' was not given: mark it required in the services profile, or pass a fallback");
+        "' was not given; fix: mark it required in the services profile, or pass a fallback");
 }
 
 proto::TaskState finalState(RefusalCode code) {
@@ -200,7 +201,7 @@ std::optional<Refusal> Task::Running::waitForStart() {
     });
     if (level_.stopped() > generation)
         return Refusal{RefusalCode::OldGeneration,
-                       "a stop has come since this task was requested: request it again",
+                       "a stop has come since this task was requested; fix: request it again",
                        {}};
     if (cancelled_) return Refusal{RefusalCode::Cancelled, "cancelled before it began", {}};
     if (stopRequested()) return Refusal{RefusalCode::Stopped, "the robot application has stopped itself", {}};
@@ -210,7 +211,7 @@ std::optional<Refusal> Task::Running::waitForStart() {
                        {}};
     if (!level_.settled())
         return Refusal{RefusalCode::TimedOut,
-                       "the robot application's stop callback has not returned: make it return at once",
+                       "the robot application's stop callback has not returned; fix: make it return at once",
                        {}};
     if (level_.stopped() < generation)
         return Refusal{

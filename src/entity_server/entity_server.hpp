@@ -69,7 +69,7 @@ class EntityServer {
     void publishTo(const std::vector<std::string>& front_ends,
                    const std::vector<std::string>& entity_servers);
     void activate();
-    /// Joins its own threads: nothing is published any more.
+    /// Joins its own threads. Nothing is published afterwards.
     void end();
     /// "127.0.0.1:10412", with the port that was taken where 0 was asked for.
     std::string address(Lane lane) const;

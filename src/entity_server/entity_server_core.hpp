@@ -32,8 +32,8 @@ struct EntityServerCoreSettings {
     int heartbeats_missed = 5;  ///< periods of its registration until an EM is given up
     std::size_t entities_max = 65536;
     std::size_t profile_bytes_max = 1024 * 1024;
-    std::uint32_t messages_per_second = 100'000;      ///< control messages of one EM; above is a flood
-    Duration drill_period{};                          ///< each entity once in so long; zero: no drills
+    std::uint32_t messages_per_second = 100'000;  ///< control messages of one EM; above is a flood
+    Duration drill_period{};  ///< each entity is drilled once in this time; zero = no drills
     Duration drill_answer = std::chrono::seconds{1};  ///< later is no answer
 };
 
@@ -43,7 +43,7 @@ struct EntityServerCoreSettings {
 /// servers (FrontEndTopic, FrontEndToEntityServant). An event goes in as one call; effects leave through the
 /// ports before it returns, except that publications about one entity may be made by another thread that is
 /// publishing already, and those of an entity that leaves are made by publishPending(): it may leave on a
-/// thread of the signal lane or the heartbeats' timer, which must not be held up.
+/// thread of the signal lane or the heartbeats' timer, neither of which may be delayed.
 ///
 /// Drills: the core measures by itself how long a stop takes. In each `drill_period` every entity gets one
 /// stop of cause Drill on its signal lane, spread over the period, but for those that are latched or have no
@@ -53,12 +53,12 @@ struct EntityServerCoreSettings {
 ///
 /// States of a session: opened ─ attach() ► two lanes ─ sendBasicPrfl() ► registered ─ leave() ► gone.
 ///
-/// One of several: it announces itself to the front-end servers, and misses them. A front-end server that
-/// falls silent, or has started anew, leaves clients behind that nobody watches: each entity that one of them
-/// holds is stopped and told that it lost its client, also where the grant becomes known later. What comes by
+/// One of several: it announces itself to the front-end servers and watches them. A front-end server that
+/// falls silent or was restarted leaves clients behind that nobody watches: every entity that one of them
+/// holds is stopped and told that it lost its client, even if the grant becomes known later. What comes by
 /// the topic for an entity that is not here may be another's, and is not refused; what comes straight is.
-/// Entity servers tell each other what entities they have, each second and when that changes: what one entity
-/// sends another finds its way by that, or is refused, and an entity that another living server has is
+/// Entity servers tell each other which entities they have, every second and when that changes: what one
+/// entity sends another finds its way by that, or is refused, and an entity that another living server has is
 /// refused as a duplicate (unless both join within the 50 ms until that is told).
 ///
 /// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status; of
@@ -86,7 +86,7 @@ class EntityServerCore {
     Result<SessionRef> attach(const std::string& token, std::shared_ptr<EntityOutbox> signal);
     Result<void> sendBasicPrfl(const SessionRef& session, Registration registration,
                                std::string_view profile);
-    /// Its texts are mended: cut at 1024 bytes, and UTF-8.
+    /// Its texts are corrected: cut to 1024 bytes, and made valid UTF-8.
     void sendStatus(const SessionRef& session, EntityStatus status);
     /// A message of an entity here, `head.entity`, did not reach the client's front-end server.
     void clientUnreached(const Header& head, const Refusal& refusal);
@@ -102,7 +102,8 @@ class EntityServerCore {
     void leave(const SessionRef& session, bool orderly, const std::string& why);
 
     // From the front-end servers. `head.sender` has been vouched for.
-    /// What came straight was for an entity here: it is refused where that is not.
+    /// A message that came straight is for an entity of this server. It is refused if that entity is not
+    /// here.
     void clientMsg(const Header& head, std::string_view message, Via via = Via::Topic);
     void clientMsgDataSeq(const Header& head, std::string_view data, Via via = Via::Topic);
     /// STATUS: everything that is known is published again, and a list of it all at the end; for a front-end
@@ -116,7 +117,7 @@ class EntityServerCore {
     void clearSignal(const Header& head);
     /// `lane`: Signal = directly, Data = by the topic.
     void frontEndServerUpdate(Lane lane, const ServerAnnouncement& server);
-    /// The topic has been found, or found again: what was published meanwhile nobody has heard.
+    /// The topic has been found, or found again. Nobody has received messages published in between.
     void topicFound();
 
     // From the other entity servers. `head.sender` is an entity, and has been vouched for.

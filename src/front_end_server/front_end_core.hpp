@@ -66,12 +66,12 @@ enum class Ending : std::uint8_t {
 /// what entities' statuses say of their holders; a client that goes is stopped for on each of them, even
 /// where the status that names it comes late.
 ///
-/// One of several: it announces itself to the entity servers, and misses them. The entities of one that falls
-/// silent, or has started anew, have left; so have those that are missing in the list at the end of a STATUS.
-/// It asks for STATUS when it finds a server or the topic, and when it has heard fewer registrations and
-/// statuses of a server than that one has published; again, until the answer has come whole. An entity
-/// belongs to the server that announced its joining last. As it knows all entities it refuses what is for
-/// none; a stop is passed on all the same.
+/// One of several: it announces itself to the entity servers and watches them. When an entity server falls
+/// silent or was restarted, its entities have left; so have those that are missing in the list at the end of
+/// a STATUS. It asks for STATUS when it finds a server or the topic, and when it has heard fewer
+/// registrations and statuses of a server than that one has published; again, until the answer has come
+/// whole. An entity belongs to the server that announced its joining last. As it knows all entities it
+/// refuses what is for none; a stop is passed on all the same.
 ///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
@@ -97,8 +97,8 @@ class FrontEndCore {
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
     static const Sender& me(const Client& client);
     static const std::string& token(const Client& client);
-    /// Of how many entities it was told profile and status when it joined, those that left meanwhile not
-    /// counted.
+    /// The number of entities whose profile and status it was told when it joined, without those that left
+    /// in that time.
     static std::size_t told(const Client& client);
     /// STATUS: everything that is known is sent again. GLOBAL_SERVICES: answered with that msg_type, of no
     /// entity.
@@ -124,15 +124,15 @@ class FrontEndCore {
     void entityServerEntities(const std::string& server, const std::vector<std::string>& entities);
     /// `lane`: Signal = directly, Data = by the topic.
     void entityServerUpdate(Lane lane, const ServerAnnouncement& server);
-    /// The topic has been found, or found again: what was published meanwhile was not heard here.
+    /// The topic has been found, or found again. Messages published in between were not received here.
     void topicFound();
 
     /// Gives up silent clients and sends heartbeats; returns when it wants to be called again.
     TimePoint onTimer();
-    /// Tells every client that the server goes.
+    /// Tells every client that the server is shutting down.
     void shutDown();
 
-    /// For people, a line for each client: how near its watchdog came to its end in the last minute.
+    /// For people, a line for each client: how close its watchdog came to tripping in the last minute.
     std::vector<std::string> margins() const;
 
     std::size_t clients() const;

@@ -70,7 +70,7 @@ class FrontEndServer {
     /// down.
     void publishTo(const std::vector<std::string>& entity_servers);
     void activate();
-    /// Joins its own threads: nothing is published any more.
+    /// Joins its own threads. Nothing is published afterwards.
     void end();
     /// Of the adapter for routers; empty where there is none.
     std::string routerAddress() const;

@@ -121,10 +121,11 @@ std::map<std::string, ServicesFolder::Contents::Mark> ServicesFolder::Contents::
         found[name] = {status.st_dev, status.st_ino, status.st_size, ns(status.st_mtim), ns(status.st_ctim)};
     }
     if (failure == std::errc::no_such_file_or_directory)
-        trouble = "clients are offered none; to offer some, put their profiles into " + folder_.string() +
-                  ", which does not exist yet";
+        trouble = "no global services are offered; to offer some, put their profiles into " +
+                  folder_.string() + ", which does not exist yet";
     else if (failure)
-        trouble = folder_.string() + " cannot be read (" + failure.message() + "); clients are offered none";
+        trouble =
+            folder_.string() + " cannot be read (" + failure.message() + "); no global services are offered";
     if (std::exchange(trouble_, trouble) != trouble && !trouble.empty()) note_("global services: " + trouble);
     return found;
 }
@@ -203,7 +204,7 @@ void ServicesFolder::Contents::publish() {
             entryOf(name, {},
                     {errorIn(name, 0, "folder",
                              "at most " + std::to_string(kFilesMax) + " files; " + std::to_string(left_out_) +
-                                 " more, the last by name, are not read",
+                                 " more files, the last by name, are not read",
                              "put several services into one file")});
     }
 
@@ -228,7 +229,7 @@ void ServicesFolder::Contents::say(const proto::GlobalServicesFile& file) const 
     if (file.profile().services_size() > static_cast<int>(kNamesSaid)) names += ", …";
     note_("global services: " + file.name() +
           (file.bad()
-               ? std::string(" has errors and offers nothing")
+               ? std::string(" has errors, so its services are not offered")
                : " offers " + counted(static_cast<std::size_t>(file.profile().services_size()), "service") +
                      (names.empty() ? "" : ":" + names)));
     for (int i = 0; i < std::min(file.findings_size(), static_cast<int>(kFindingsSaid)); ++i)

@@ -177,7 +177,7 @@ TEST_F(ServicesFolderTest, AFileWithAnErrorOffersNothingAndTheOthersGoOn) {
     open();
     EXPECT_THAT(files(), ElementsAre("a.xml is bad", "b.xml: Walk"));
     EXPECT_THAT(served().files(0).findings(), Contains(HasSubstr("a.xml:2: error: Service name: a name")));
-    EXPECT_THAT(said(), Contains("global services: a.xml has errors and offers nothing"));
+    EXPECT_THAT(said(), Contains("global services: a.xml has errors, so its services are not offered"));
     replace("a.xml", profile(service("Talk")));
     pass();
     EXPECT_THAT(files(), ElementsAre("a.xml: Talk", "b.xml: Walk"));
@@ -204,8 +204,9 @@ TEST_F(ServicesFolderTest, AFolderMayComeLaterAndGo) {
     std::filesystem::remove(folder);
     open();
     EXPECT_THAT(files(), IsEmpty());
-    EXPECT_THAT(said(), ElementsAre(AllOf(HasSubstr(folder.string()), HasSubstr("offered none"),
-                                          Not(HasSubstr("No such file")))));
+    EXPECT_THAT(said(),
+                ElementsAre(AllOf(HasSubstr(folder.string()), HasSubstr("no global services are offered"),
+                                  Not(HasSubstr("No such file")))));
     pass();
     EXPECT_THAT(said(), IsEmpty());
     std::filesystem::create_directory(folder);

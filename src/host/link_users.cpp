@@ -59,8 +59,8 @@ Result<LinkUsers> LinkUsers::parse(std::string_view names, std::string_view wher
         if (!uid)
             return Refusal{RefusalCode::Malformed,
                            std::string(where) + ": '" + name.substr(0, 80) +
-                               "' is no user of this machine: expected names or numbers, as in 'Axon.Users = "
-                               "axon 1001': correct the name",
+                               "' is not a user of this machine: expected names or numbers, as in "
+                               "'Axon.Users = axon 1001'; fix: correct the name",
                            {}};
         out.uids_.push_back(*uid);
     }
@@ -80,16 +80,16 @@ std::optional<Refusal> LinkUsers::check(int socket) const {
         return Refusal{RefusalCode::PermissionDenied,
                        "the other end of the link belongs to the user with the number " + its +
                            ", this one to " + std::to_string(::geteuid()) +
-                           ": run both as one user, or let that one in by 'Axon.Users = " + its +
-                           "' (ports.cfg, or what this end was started with)",
+                           "; fix: run both as one user, or allow the other user with 'Axon.Users = " + its +
+                           "' (in ports.cfg, or in the options of this end)",
                        {}};
     }
     if (peer && own && !isLoopback(peer->address) && peer->address != own->address) return std::nullopt;
-    return Refusal{RefusalCode::PermissionDenied,
-                   "the kernel does not say whose the other end of the link is: it has just been closed, or "
-                   "a sandbox forbids netlink and "
-                   "/proc/net/tcp to this process; permit one of them",
-                   {}};
+    return Refusal{
+        RefusalCode::PermissionDenied,
+        "the kernel does not say which user owns the other end of the link: it has just been closed, or a "
+        "sandbox forbids netlink and /proc/net/tcp to this process; fix: permit one of the two",
+        {}};
 }
 
 }  // namespace axon

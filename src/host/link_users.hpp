@@ -11,10 +11,10 @@
 
 namespace axon {
 
-/// Whose process may have the other end of the link between an Entity Manager and its robot application: that
-/// of the same user, of root, and of those that ports.cfg names. The kernel tells whose a connection on this
-/// machine is; nobody tells of a process on another machine, which is let in (only where the application
-/// listens beyond loopback, Options::beyond_loopback).
+/// The users whose processes may have the other end of the link between an Entity Manager and its robot
+/// application: the same user, root, and the users that ports.cfg names. The kernel says which user owns a
+/// connection on this machine. It does not know the user of a process on another machine, which is let in
+/// (but can only connect if the application listens beyond loopback, Options::beyond_loopback).
 ///
 /// Source: docs/explanation/threats.md. Threads: any; a value. check() asks the kernel, which takes some
 /// microseconds.

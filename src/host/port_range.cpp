@@ -33,11 +33,11 @@ std::optional<long> number(std::string_view text) {
 Result<PortRange> checkPortRange(long first, long last, std::string_view where) {
     const auto given = std::to_string(first) + "-" + std::to_string(last);
     if (first < PortRange::kLowest || last > PortRange::kHighest || first > last)
-        return Refusal{RefusalCode::OutOfRange,
-                       std::string(where) + ": ports " + given +
-                           ": expected a range within 5500 to 8000 that begins with its lower end, such as "
-                           "5500-8000: choose such a range",
-                       {}};
+        return Refusal{
+            RefusalCode::OutOfRange,
+            std::string(where) + ": ports " + given +
+                ": expected a range within 5500 to 8000; fix: write the lower end first, as in 5500-8000",
+            {}};
     return PortRange{static_cast<std::uint16_t>(first), static_cast<std::uint16_t>(last)};
 }
 
@@ -59,7 +59,8 @@ Result<LinkPorts> parsePorts(std::string_view text, std::string_view file) {
         };
         const auto equals = line.find('=');
         if (equals == std::string_view::npos)
-            return malformed("expected 'Axon.Ports = 5500-8000' or 'Axon.Address = 127.0.0.1': add the '='");
+            return malformed(
+                "expected 'Axon.Ports = 5500-8000' or 'Axon.Address = 127.0.0.1'; fix: add the '='");
         const auto key = trimmed(line.substr(0, equals));
         const auto value = trimmed(line.substr(equals + 1));
         if (key == "Axon.Ports") {
@@ -82,7 +83,7 @@ Result<LinkPorts> parsePorts(std::string_view text, std::string_view file) {
             ports.users = std::move(users).value();
         } else {
             return malformed(
-                "unknown setting: expected Axon.Ports, Axon.Address or Axon.Users: correct the name");
+                "unknown setting: expected Axon.Ports, Axon.Address or Axon.Users; fix: correct the name");
         }
     }
     return ports;
@@ -100,7 +101,7 @@ Result<LinkPorts> readPorts(const std::filesystem::path& file) {
         return Refusal{RefusalCode::BadName,
                        file.string() +
                            ": expected a readable ports.cfg of at most 64 KiB with the line 'Axon.Ports = "
-                           "5500-8000': create it or correct the path",
+                           "5500-8000'; fix: create it, or correct the path",
                        {}};
     return parsePorts(text, file.string());
 }

@@ -29,13 +29,14 @@ struct LinkPorts {
     LinkUsers users;
 };
 
-/// Refused with OUT_OF_RANGE when it leaves 5500 to 8000 or is upside down. `where` begins the message.
+/// Refused with OUT_OF_RANGE if the range leaves 5500 to 8000 or begins with its upper end. The message
+/// begins with `where`.
 Result<PortRange> checkPortRange(long first, long last, std::string_view where);
 
 /// Reads the text of a ports.cfg: lines `Axon.Ports = 5500-8000` (or a single port) and, optionally,
 /// `Axon.Address = 127.0.0.1` and `Axon.Users = axon 1001`; `#` begins a comment. Refused with MALFORMED or
-/// OUT_OF_RANGE; the message names file, line, what was expected and the mend. What is not said keeps its
-/// default.
+/// OUT_OF_RANGE; the message names file, line, what was expected and how to fix it. A setting that is not
+/// given keeps its default.
 Result<LinkPorts> parsePorts(std::string_view text, std::string_view file);
 
 /// The same from a file; refused with BAD_NAME when it cannot be read.

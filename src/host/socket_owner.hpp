@@ -11,8 +11,8 @@ namespace axon {
 // ("127.0.0.1:50122", "::1:50122").
 
 /// The uid in the line of the connection in a text of the form of /proc/net/tcp or /proc/net/tcp6; nothing
-/// when there is none, or the connection is not established (the kernel gives those that nobody has any more
-/// to root). Pure; any text is accepted.
+/// when there is none, or the connection is not established (the kernel attributes
+/// sockets that no process owns any longer to root). Pure; any text is accepted.
 std::optional<std::uint32_t> socketOwner(std::string_view table, const std::string& from,
                                          const std::string& to);
 

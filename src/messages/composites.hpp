@@ -36,7 +36,7 @@ struct Composites {
     /// has a fault, or lists nothing, none.
     std::vector<std::vector<Part>> parts;
     std::vector<std::vector<View>> params;     ///< of each composite, in the order of its parts
-    std::vector<std::vector<View>> resources;  ///< likewise
+    std::vector<std::vector<View>> resources;  ///< of each composite, in the order of its parts
     std::vector<Fault> faults;
 };
 

@@ -10,18 +10,18 @@
 
 namespace axon {
 
-/// One thing to mend in a profile. docs/reference/profiles.md lists what is an error and what a warning.
+/// One thing to fix in a profile. docs/reference/profiles.md lists what is an error and what a warning.
 struct Finding {
     enum class Severity { Warning, Error };
 
     std::string file;
-    int line = 0;  ///< from 1; 0 where the file as a whole is meant
+    int line = 0;  ///< from 1; 0 = the whole file
     Severity severity = Severity::Error;
     std::string element;   ///< `Param "Distance"`, with the attribute where it is about one
     std::string expected;  ///< what was expected, and what was found
     std::string mend;      ///< what to write instead
 
-    /// `file:line: severity: element: what was expected: how to mend it`
+    /// `file:line: severity: element: what was expected: how to fix it`
     std::string toString() const;
 };
 
@@ -37,7 +37,7 @@ struct Reading {
     bool ok() const { return !hasError(findings); }
 };
 
-/// At most so many findings are kept; one more then says that there are others.
+/// The largest number of findings that are kept. If there are more, one further finding says so.
 inline constexpr std::size_t kMaxFindings = 500;
 
 enum class ProfileKind { Unknown, Basic, Services, Global };

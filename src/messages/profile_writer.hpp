@@ -7,8 +7,8 @@
 namespace axon {
 
 /// Messages back to the XML of figures 3.2, 3.3 and A.1, in the spellings that docs/reference/profiles.md
-/// prefers. What a reader makes of the text equals the message, as far as a profile holds it: entity_id,
-/// is_exec, missing, sha256 and size are left out. Characters that XML cannot hold (control characters, bad
+/// prefers. Reading the text gives an equal message, except for what a profile does not hold: entity_id,
+/// is_exec, missing, sha256 and size. Characters that XML cannot hold (control characters, bad
 /// UTF-8) become '?'.
 std::string writeBasicProfile(const proto::BasicProfile& profile);
 std::string writeServicesProfile(const proto::ServicesProfile& profile);

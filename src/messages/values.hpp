@@ -56,11 +56,11 @@ proto::Refusal toProto(const Refusal& refusal);
 /// Position of the service with this name, or else this global id; where there is none, of the only one that
 /// differs in upper and lower case alone. UNKNOWN_SERVICE names near ones, or the candidates.
 Result<int> findServiceIndex(const proto::ServicesProfile& profile, std::string_view name_or_global_id);
-/// Likewise, null where there is none.
+/// The same; null if there is none.
 const proto::Service* findService(const proto::ServicesProfile& profile, std::string_view name_or_global_id);
-/// Likewise by the parameter's name: UNKNOWN_PARAMETER.
+/// Position of the parameter with this name, or UNKNOWN_PARAMETER.
 Result<int> findParamIndex(const proto::Service& service, std::string_view name);
-/// Likewise by the resource's name: UNKNOWN_RESOURCE.
+/// Position of the resource with this name, or UNKNOWN_RESOURCE.
 Result<int> findResourceIndex(const proto::Service& service, std::string_view name);
 
 }  // namespace axon

@@ -68,10 +68,10 @@ std::optional<Refusal> LoginDesk::wrongCertificate(Door door,
     if (unit == expected && !name.empty()) return std::nullopt;
     note_("audit: failed log-in from " + peer + " (its certificate, " + cut(name) + ", has OU=" + cut(unit) +
           "; expected OU=" + expected + ")");
-    return refuse(RefusalCode::PermissionDenied, "the certificate that was shown is of the kind '" +
-                                                     cut(unit) + "'; expected one of the kind '" + expected +
-                                                     "' at this port: axon certs issue --" + expected +
-                                                     " NAME");
+    return refuse(RefusalCode::PermissionDenied,
+                  "the certificate that was shown is of the kind '" + cut(unit) +
+                      "'; expected one of the kind '" + expected +
+                      "' at this port; fix: issue one with axon certs issue --" + expected + " NAME");
 }
 
 void LoginDesk::client(LoginRequest request, Answer answer) {
@@ -99,7 +99,7 @@ void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
     const auto address = request.peer.substr(0, request.peer.rfind(':'));
     // Before it waits: nobody keeps memory here that the server has not asked for.
     if (request.user.size() > kLoginTextMax || request.password.size() > kLoginTextMax)
-        return answer(refuse(RefusalCode::Malformed, "a user's name and a password have at most " +
+        return answer(refuse(RefusalCode::Malformed, "expected a user name and a password of at most " +
                                                          std::to_string(kLoginTextMax) + " bytes each"));
     std::optional<Refusal> refusal;
     const auto digest = users_ && !request.user.empty() ? digestOf(request.password) : std::nullopt;
@@ -113,7 +113,8 @@ void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
             ++waiting_;
         } else if (waiting_ >= kWaitingMax ||
                    (its != jobs_.end() && its->second.size() >= kWaitingOfOneMax)) {
-            refusal = refuse(RefusalCode::Overloaded, "too many wait to log in; try again in a moment");
+            refusal =
+                refuse(RefusalCode::Overloaded, "too many log-ins are waiting; fix: try again in a moment");
         } else {
             if (its == jobs_.end()) turns_.push_back(address);
             jobs_[address].push_back({door, std::move(request), address, std::move(answer)});
@@ -173,33 +174,33 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
     if (certified && its_user != request.certificate->name) {
         failed("its certificate is '" + cut(request.certificate->name) + "'s");
         return refuse(RefusalCode::PermissionDenied,
-                      "the certificate that was shown is the user '" + cut(request.certificate->name) +
-                          "'s, who cannot log in as '" + user +
-                          "'; leave the user out, or use the certificate of '" + user + "'");
+                      "the certificate that was shown belongs to the user '" +
+                          cut(request.certificate->name) + "', who cannot log in as '" + user +
+                          "'; fix: leave the user name out, or use the certificate of '" + user + "'");
     }
     if (const auto wait = guard_.mustWait(job.address, user); !certified && wait > Duration{}) {
         failed("tried too early");
         const auto seconds = std::chrono::ceil<std::chrono::seconds>(wait).count();
         return refuse(RefusalCode::PermissionDenied, "too many wrong passwords for '" + user + "' from " +
-                                                         job.address + "; try again in " +
+                                                         job.address + "; fix: try again in " +
                                                          std::to_string(seconds) + " s");
     }
     const auto role = certified ? users_->roleOf(its_user) : verify(request.user, request.password);
     if (certified && !role) {
         failed("not in users.cfg");
         return refuse(RefusalCode::PermissionDenied,
-                      "the certificate is right, but the server has no user '" + user +
-                          "': whoever runs it says what '" + user +
-                          "' may do, with axon-server --add-user, and restarts it");
+                      "the certificate is valid, but the server has no user '" + user +
+                          "'; fix: whoever runs the server gives '" + user +
+                          "' a role with axon-server --add-user, and restarts it");
     }
     if (!role) {
         guard_.failed(job.address, user);
         failed("wrong name or password");
         return refuse(RefusalCode::PermissionDenied,
-                      user.empty() ? "this server asks for a user and a password; log in with those that its "
-                                     "administrator gave you"
-                                   : "wrong user or password; whoever runs the server can set it with "
-                                     "axon-server --add-user");
+                      user.empty() ? "this server asks for a user and a password; fix: log in with those "
+                                     "that its administrator gave you"
+                                   : "wrong user or password; fix: correct them, or ask whoever runs the "
+                                     "server to set a new password with axon-server --add-user");
     }
     guard_.succeeded(job.address, user);
     auto who = admit(*role, job.door, user);
@@ -212,7 +213,8 @@ Result<LoggedIn> LoginDesk::vouched(Door door, const std::string& user) const {
     if (const auto role = users_->roleOf(user)) return admit(*role, door, user);
     return refuse(RefusalCode::PermissionDenied,
                   "this server has no user " + cut(user) +
-                      ", whom another let in; give all servers behind the router the same users.cfg");
+                      ", which another server of this installation has accepted; fix: give all servers "
+                      "behind the router the same users.cfg");
 }
 
 Result<LoggedIn> LoginDesk::vouchedClient(const std::string& user,
@@ -240,10 +242,10 @@ Result<LoggedIn> LoginDesk::admit(UserRole role, Door door, const std::string& u
     if (is_entity != (door == Door::Entity)) {
         return refuse(RefusalCode::PermissionDenied,
                       is_entity ? "user '" + user +
-                                      "' has the role entity, which is for Entity Managers; log in "
-                                      "as an observer, operator or admin"
+                                      "' has the role entity, which is for Entity Managers; fix: log in as "
+                                      "an observer, operator or admin"
                                 : "user '" + user + "' has the role " + toString(role) +
-                                      "; an Entity Manager needs a user of the role entity (Axon.User)");
+                                      "; fix: give the Entity Manager a user of the role entity (Axon.User)");
     }
     switch (role) {
         case UserRole::Observer:

@@ -141,7 +141,7 @@ TEST_F(LoginDeskTest, AClientsCertificateIsItsUserAndTheFileSaysWhatItMayDo) {
     EXPECT_EQ(certified("boss", "client").value().user, "boss");
     EXPECT_EQ(certified("watcher", "client", "watcher").value().role, Role::Observer);
     EXPECT_THAT(certified("client1", "client", "boss", "secret1").refusal().message,
-                HasSubstr("the user 'client1's"));
+                HasSubstr("belongs to the user 'client1'"));
     EXPECT_THAT(certified("nobody", "client").refusal().message, HasSubstr("no user 'nobody'"));
     EXPECT_THAT(notes.back(), HasSubstr("failed log-in of 'nobody'"));
     EXPECT_THAT(certified("left", "client").refusal().message, HasSubstr("for Entity Managers"));

@@ -43,19 +43,17 @@ void setRole(ServerSettings& settings, const std::string& role) {
     if (settings.role == ServerRole::Both) {
         if (settings.topic_manager.empty()) return;
         throw std::runtime_error(
-            "Server.TopicManager is for one of several servers: add --role front-end or --role entity, or "
-            "take the "
-            "key out of the configuration");
+            "Server.TopicManager is set, but is only for one of several servers; fix: add --role front-end "
+            "or --role entity, or remove the key from the configuration");
     }
     if (settings.name.empty())
-        throw std::runtime_error(
-            "--role " + role +
-            ": expected Server.Name in the configuration, a name that no other server has, "
-            "such as Server.Name=" +
-            (role == "entity" ? "es1" : "fe1"));
+        throw std::runtime_error("--role " + role +
+                                 ": expected Server.Name in the configuration; fix: add a name that no other "
+                                 "server has, such as Server.Name=" +
+                                 (role == "entity" ? "es1" : "fe1"));
     if (settings.topic_manager.empty())
         throw std::runtime_error("--role " + role +
-                                 ": expected Server.TopicManager in the configuration, such as "
+                                 ": expected Server.TopicManager in the configuration; fix: add it, such as "
                                  "Server.TopicManager=IceStorm/TopicManager:tcp -h 127.0.0.1 -p 10430");
 }
 
@@ -70,18 +68,20 @@ void findGlobalServices(ServerSettings& settings, const std::vector<std::string>
     }
     std::error_code failure;
     if (settings.role == ServerRole::Entity || std::filesystem::is_directory(folder, failure)) return;
-    throw std::runtime_error("'" + folder +
-                             "' is no folder: expected the one with the profiles of the global services "
-                             "(Server.GlobalServices, --global-services); make it, or leave the setting out");
+    throw std::runtime_error(
+        "'" + folder +
+        "' is not a folder: expected the folder with the profiles of the global services "
+        "(Server.GlobalServices, --global-services); fix: create it, or leave the setting out");
 }
 
 void addUser(const std::string& file, const std::string& name, const std::string& role) {
-    if (file.empty()) throw std::runtime_error("--add-user: expected the file to write to: add --users FILE");
+    if (file.empty())
+        throw std::runtime_error("--add-user: expected the file to write to; fix: add --users FILE");
     const auto its_role = userRole(role);
     if (!its_role)
         throw std::runtime_error("--user-role '" + role + "': expected observer, operator, admin or entity");
     writeUser(file, name, *its_role, readPassword());
-    std::fprintf(stderr, "%s: '%s' may log in as %s; restart axon-server to make it so\n", file.c_str(),
+    std::fprintf(stderr, "%s: '%s' may log in as %s after axon-server is restarted\n", file.c_str(),
                  name.c_str(), toString(*its_role));
 }
 
@@ -169,8 +169,8 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         if (found == keys.end()) {
             std::string known;
             for (const auto& [name, set] : keys) known += (known.empty() ? "" : ", ") + name;
-            throw std::runtime_error(file + ": '" + key + "' is not known; expected one of " + known +
-                                     ", or a property of Ice");
+            throw std::runtime_error(file + ": '" + key + "' is not a known key; expected one of " + known +
+                                     ", or a property Ice.* or IceSSL.*");
         }
         found->second(file + ": " + key, value);
     }
@@ -184,7 +184,7 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
 
 Parsed parseOptions(int argc, char** argv) {
     CLI::App app{
-        "The server of Axon: entities and clients meet here. Without options it serves this machine only."};
+        "The Axon server: entities and clients connect to it. Without options it serves this machine only."};
     app.name("axon-server");
     app.set_version_flag("--version", std::string("axon-server ") + kVersion);
     std::vector<std::string> files;
@@ -197,38 +197,39 @@ Parsed parseOptions(int argc, char** argv) {
     bool plain_tcp = false;
     std::map<std::string, std::string> endpoints;
     Options options;
-    app.add_option(
-        "--config", files,
-        "frontendserver.cfg, entityserver.cfg: lines KEY=VALUE (docs/reference/server_configuration.md)");
-    app.add_option("--listen", listen, "Address for all ports (127.0.0.1)");
+    app.add_option("--config", files,
+                   "Configuration file (frontendserver.cfg, entityserver.cfg) with lines KEY=VALUE; repeat "
+                   "it for several files (docs/reference/server_configuration.md)");
+    app.add_option("--listen", listen, "Address on which all ports listen (127.0.0.1)");
     app.add_option("--client-endpoint", endpoints["client"],
-                   "HOST:PORT or ssl://HOST:PORT for clients (127.0.0.1:10410); port 0 takes a free one");
+                   "HOST:PORT or ssl://HOST:PORT for clients (127.0.0.1:10410); port 0 chooses a free port");
     app.add_option("--client-signal-endpoint", endpoints["client-signal"],
-                   "HOST:PORT for clients' signal lane (127.0.0.1:10411)");
+                   "HOST:PORT for the signal lane of clients (127.0.0.1:10411)");
     app.add_option("--entity-endpoint", endpoints["entity"],
                    "HOST:PORT for Entity Managers (127.0.0.1:10412)");
     app.add_option("--entity-signal-endpoint", endpoints["entity-signal"],
-                   "HOST:PORT for Entity Managers' signal lane (127.0.0.1:10413)");
+                   "HOST:PORT for the signal lane of Entity Managers (127.0.0.1:10413)");
     app.add_flag("--plain-tcp", plain_tcp,
-                 "Other machines may connect without TLS, in a network that you trust (Server.PlainTcp)");
+                 "Let other machines connect without TLS, in a network that you trust (Server.PlainTcp)");
     app.add_option("--users", users,
-                   "users.cfg: who may log in; without it, on loopback only, no password is asked");
+                   "File of users who may log in (users.cfg). Without it the server listens on loopback only "
+                   "and asks for no password");
     app.add_option(
         "--global-services", global_services,
-        "The folder whose *.xml are the global services (Server.GlobalServices); by default globalservices "
-        "beside the first file of --config, or else in the working folder");
+        "Folder with the profiles (*.xml) of the global services (Server.GlobalServices). Default: "
+        "globalservices beside the first file of --config, or else in the working folder");
+    app.add_option("--add-user", user_to_add,
+                   "Write this user into the file of --users and exit. The password is asked for, or read "
+                   "from the first line of standard input");
     app.add_option(
-        "--add-user", user_to_add,
-        "Write this user into the file of --users, with the password that is asked for or the first "
-        "line of standard input, and end");
-    app.add_option("--user-role", user_role,
-                   "Of --add-user: observer, operator, admin, or entity (for Entity Managers)");
+        "--user-role", user_role,
+        "Role of the user of --add-user: observer, operator, admin, or entity (for Entity Managers)");
     app.add_option("--role", role,
-                   "both (the default), or one of several servers that IceStorm joins: front-end or entity. "
-                   "These need "
-                   "Server.Name and Server.TopicManager in their configuration")
+                   "both (default), or front-end or entity for one of several servers that IceStorm "
+                   "connects. Those need Server.Name and Server.TopicManager in their configuration")
         ->check(CLI::IsMember({"both", "front-end", "entity"}));
-    app.add_option("--log-level", options.log_level, "debug, info, warn or error")
+    app.add_option("--log-level", options.log_level,
+                   "Least severe messages to log: debug, info, warn or error")
         ->check(CLI::IsMember({"debug", "info", "warn", "error"}));
     try {
         app.parse(argc, argv);
@@ -244,7 +245,9 @@ Parsed parseOptions(int argc, char** argv) {
         addUser(settings.users_file, user_to_add, user_role);
         return {std::nullopt, 0};
     }
-    if (!user_role.empty()) throw std::runtime_error("--user-role is for --add-user; leave it out");
+    if (!user_role.empty())
+        throw std::runtime_error(
+            "--user-role is only for --add-user; fix: leave it out, or add --add-user NAME");
     setRole(settings, role);
     findGlobalServices(settings, files);
     for (const auto& [name, to] :

@@ -13,9 +13,9 @@ struct Options {
     std::string log_level = "info";
 };
 
-/// The command line of `axon-server` and the files that it names. An int instead of options is the exit code
-/// of what has been answered already (--help, --version, a wrong option). Throws std::runtime_error for
-/// misconfiguration.
+/// The command line of `axon-server` and the files that it names. Without options, the
+/// command line has been answered already (--help, --version, a wrong option) and `exit_code` is the status.
+/// Throws std::runtime_error for misconfiguration.
 struct Parsed {
     std::optional<Options> options;
     int exit_code = 0;
@@ -24,7 +24,7 @@ Parsed parseOptions(int argc, char** argv);
 
 /// Reads a file in Ice property syntax (frontendserver.cfg, entityserver.cfg) into the settings;
 /// docs/reference/server_configuration.md lists the keys. Throws std::runtime_error naming file, key,
-/// expectation and mend.
+/// what was expected and how to fix it.
 void readConfiguration(const std::string& file, ServerSettings& settings);
 
 }  // namespace axon::server

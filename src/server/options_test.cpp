@@ -117,7 +117,7 @@ TEST(ServerOptions, GlobalServicesLieBesideTheConfigurationUnlessAFolderIsNamed)
     EXPECT_EQ(parse({"--config", file}).options->settings.global_services, folder);
     EXPECT_EQ(parse({"--config", file, "--global-services", "/tmp"}).options->settings.global_services,
               "/tmp");
-    EXPECT_THAT(complaint({"--global-services", folder + "/none"}), HasSubstr("is no folder"));
+    EXPECT_THAT(complaint({"--global-services", folder + "/none"}), HasSubstr("is not a folder"));
     std::filesystem::remove_all(folder);
 }
 

@@ -46,10 +46,10 @@ void checkLanes(const std::string& data, const std::string& signal) {
         const auto offered = parsed(signal);
         if (std::none_of(offered.begin(), offered.end(),
                          [&](const transport::Endpoint& one) { return one.tls == wanted.tls; }))
-            throw std::runtime_error("the data lane listens at '" + wanted.address() +
-                                     "', and its signal lane ('" + signal + "') at no endpoint of " +
-                                     (wanted.tls ? "ssl" : "tcp") +
-                                     ": give it one, as stops come by the protocol of the data");
+            throw std::runtime_error(
+                "the data lane listens on '" + wanted.address() + "', but its signal lane ('" + signal +
+                "') has no endpoint of " + (wanted.tls ? "ssl" : "tcp") +
+                "; fix: give it one, because a client sends stops over the protocol of its data lane");
     }
 }
 
@@ -71,21 +71,18 @@ bool checkEndpoints(const std::string& endpoints, bool has_users, bool plain_tcp
             throw std::runtime_error(
                 "'" + endpoints +
                 "' is reachable from other machines, and the server has no users: anybody there could move "
-                "the robots. Name who may log in (axon-server --users FILE --add-user NAME --user-role ROLE, "
-                "then "
-                "--users FILE), or listen on 127.0.0.1 and let other machines in through an SSH tunnel (ssh "
-                "-L 10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
+                "the robots; fix: name who may log in (axon-server --users FILE --add-user NAME --user-role "
+                "ROLE, then --users FILE), or listen on 127.0.0.1 and let other machines in through an SSH "
+                "tunnel (ssh -L 10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
         }
         if (endpoint.tls) continue;
         if (!plain_tcp) {
-            throw std::runtime_error("'" + endpoints +
-                                     "' is reachable from other machines without TLS: what they send, "
-                                     "passwords included, could be "
-                                     "read and changed on the way. Listen by TLS (ssl://HOST:PORT, with a "
-                                     "certificate of axon certs "
-                                     "issue --server HOST; docs/reference/tls.md), or say that this network "
-                                     "is trusted: --plain-tcp, "
-                                     "or Server.PlainTcp=1");
+            throw std::runtime_error(
+                "'" + endpoints +
+                "' is reachable from other machines without TLS: what they send, passwords included, could "
+                "be read and changed on the way; fix: listen over TLS (ssl://HOST:PORT, with a certificate "
+                "from axon certs issue --server HOST; docs/reference/tls.md), or declare this network "
+                "trusted with --plain-tcp or Server.PlainTcp=1");
         }
         open = true;
     }
@@ -118,10 +115,10 @@ void checkBetweenServers(const ServerSettings& settings) {
         try {
             checkEndpoints(endpoint, false, false);
         } catch (const std::runtime_error&) {
-            throw std::runtime_error("'" + endpoint +
-                                     "' is for the other servers, whose word is taken without a password: "
-                                     "expected an address that only "
-                                     "this machine can reach, such as 127.0.0.1:0");
+            throw std::runtime_error(
+                "'" + endpoint +
+                "' is for the other servers, which need no password: expected an address that only this "
+                "machine can reach; fix: use one such as 127.0.0.1:0");
         }
     }
 }
@@ -142,9 +139,9 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
         checkLanes(settings.entity_endpoint, settings.entity_signal_endpoint);
     if (open) {
         spdlog::warn(
-            "other machines can reach this server without TLS (Server.PlainTcp), and what they send, "
-            "passwords "
-            "included, can be read and changed on the way: use it in a network that you trust");
+            "other machines can reach this server without TLS (Server.PlainTcp); what they send, passwords "
+            "included, can be read and changed on the way; fix: use it only in a network that you trust, or "
+            "listen over TLS");
     }
     if (!has_users) return std::nullopt;
     return Users::read(settings.users_file);

@@ -46,9 +46,10 @@ struct ServerSettings {
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted
 };
 
-/// Throws std::runtime_error, with the mend, for endpoints that are none, or not on loopback while the server
-/// has no users, as nobody from outside may move a robot without saying who he is, or not on loopback and
-/// without TLS, unless `plain_tcp`. Returns whether others than this machine can reach one without TLS.
+/// Throws std::runtime_error, saying how to fix it, for a text that is not an endpoint; for an endpoint
+/// beyond loopback if the server has no users, because nobody may move a robot without a name; and for an
+/// endpoint beyond loopback without TLS, unless `plain_tcp`. Returns whether other machines can reach one
+/// without TLS.
 bool checkEndpoints(const std::string& endpoints, bool has_users, bool plain_tcp);
 
 /// Both servers in one process, the embedded default: each publishes to the other by plain calls, which run

@@ -31,7 +31,7 @@ constexpr const char* kNobody =
     "$6$axonnobodyhere$x7C57Za9X2zTX9U.UjLOsDvIz1JNvtCR8yr06Y.07VukDnIAQSiNXEnkuwyb9d.df2OpRUXC.wglXYtbc/"
     "uFK0";
 constexpr const char* kHowTo =
-    "make the line with: axon-server --users FILE --add-user NAME --user-role ROLE";
+    "write the line with axon-server --users FILE --add-user NAME --user-role ROLE";
 
 std::vector<std::string_view> fieldsOf(std::string_view line) {
     std::vector<std::string_view> fields;
@@ -142,7 +142,8 @@ Users Users::parse(std::string_view text, const std::string& file) {
         const auto line = contentOf(text.substr(0, end));
         text = end == std::string_view::npos ? std::string_view() : text.substr(end + 1);
         const auto refuse = [&](const std::string& expected) {
-            throw std::runtime_error(file + ":" + std::to_string(number) + ": " + expected + ": " + kHowTo);
+            throw std::runtime_error(file + ":" + std::to_string(number) + ": " + expected +
+                                     "; fix: " + kHowTo);
         };
         const auto fields = fieldsOf(line);
         if (fields.empty()) continue;
@@ -155,9 +156,9 @@ Users Users::parse(std::string_view text, const std::string& file) {
         if (!role) refuse("expected the role observer, operator, admin or entity, not " + shown(fields[1]));
         std::string hash(fields[2]);
         // What it is, is not shown: perhaps somebody wrote the password itself.
-        if (!isHash(hash)) refuse("expected a hash that begins with $y$ or $6$ and is no older kind");
+        if (!isHash(hash)) refuse("expected a hash that begins with $y$ or $6$, not one of an older kind");
         if (users.find(fields[0]) != nullptr)
-            refuse("expected one line for each user, and " + shown(fields[0]) + " has one already");
+            refuse("expected one line per user, but " + shown(fields[0]) + " has one already");
         users.users_.push_back({std::string(fields[0]), *role, std::move(hash)});
     }
     return users;
@@ -165,20 +166,20 @@ Users Users::parse(std::string_view text, const std::string& file) {
 
 Users Users::read(const std::string& file) {
     const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
-    if (fd.get() < 0) fail(file, "expected a file of users that can be read");
+    if (fd.get() < 0) fail(file, "expected a readable file of users");
     struct stat facts {};
     if (::fstat(fd.get(), &facts) != 0) fail(file, "cannot be read");
     if (!S_ISREG(facts.st_mode)) throw std::runtime_error(file + ": expected a regular file");
     if ((facts.st_mode & 07777U & ~0640U) != 0) {
         std::array<char, 8> mode{};
         std::snprintf(mode.data(), mode.size(), "%04o", static_cast<unsigned>(facts.st_mode & 07777U));
-        throw std::runtime_error(file + ": its permissions are " + mode.data() +
-                                 "; expected 0640 or narrower, as it holds password hashes: chmod 640 " +
-                                 file);
+        throw std::runtime_error(
+            file + ": its permissions are " + mode.data() +
+            "; expected 0640 or narrower, because it holds password hashes; fix: chmod 640 " + file);
     }
     auto users = parse(contentOf(fd.get(), file), file);
     if (users.size() == 0)
-        throw std::runtime_error(file + ": expected at least one user: " + std::string(kHowTo));
+        throw std::runtime_error(file + ": expected at least one user; fix: " + std::string(kHowTo));
     return users;
 }
 
@@ -215,7 +216,8 @@ std::string hashPassword(const std::string& password) {
         if (!hash.empty() && isHash(hash)) return hash;
     }
     throw std::runtime_error(
-        "libcrypt makes neither yescrypt nor SHA-512 hashes here; use openssl passwd -6");
+        "libcrypt makes neither yescrypt nor SHA-512 hashes on this machine; fix: make the hash with openssl "
+        "passwd -6 and write the line yourself");
 }
 
 std::string withUser(std::string_view text, const std::string& name, UserRole role, const std::string& hash) {
@@ -289,7 +291,8 @@ std::string readPassword() {
     const auto second = line();
     std::fputs("\n", stderr);
     ::tcsetattr(STDIN_FILENO, TCSAFLUSH, &before);
-    if (first != second) throw std::runtime_error("the two passwords differ; nothing was written");
+    if (first != second)
+        throw std::runtime_error("the two passwords differ, so nothing was written; fix: try again");
     return first;
 }
 

@@ -20,7 +20,7 @@ bool isUserName(std::string_view name);
 /// crypt(5): yescrypt or SHA-512, as `axon-server --add-user`, mkpasswd and `openssl passwd -6` make them.
 ///
 /// Immutable after construction; verify() may be called from any thread and takes as long as the hash wants,
-/// some milliseconds. Failure: misconfiguration throws std::runtime_error, `file:line: expected …: mend`.
+/// some milliseconds. Failure: misconfiguration throws std::runtime_error, `file:line: expected …; fix: …`.
 class Users {
   public:
     /// Pure. `file` is what messages call it.
@@ -28,10 +28,10 @@ class Users {
     /// Refuses a file that others than its owner and group may read, or that others than its owner may write.
     static Users read(const std::string& file);
 
-    /// The role, if there is such a user and this is the password. What an unknown user takes is what a wrong
-    /// password takes.
+    /// The role, if there is such a user and this is the password. Takes as long for an unknown user as for a
+    /// wrong password.
     std::optional<UserRole> verify(const std::string& name, const std::string& password) const;
-    /// Without a password: for who has been verified otherwise.
+    /// The role of a user who has been verified in another way, without a password.
     std::optional<UserRole> roleOf(const std::string& name) const;
     std::size_t size() const { return users_.size(); }
 

@@ -54,12 +54,12 @@ TEST(UsersFile, RefusesWrongPasswordsUnknownUsersAndWhatCryptCannotTake) {
     EXPECT_FALSE(Users::parse("", "users.cfg").verify("client1", "secret1"));
 }
 
-TEST(UsersFile, SaysWhichLineIsWrongAndHowToMendIt) {
+TEST(UsersFile, SaysWhichLineIsWrongAndHowToFixIt) {
     const auto second = [](const std::string& line) {
         return complaint("client1 operator " + kHash + "\n" + line);
     };
     EXPECT_THAT(second("client2 operator"),
-                StartsWith("users.cfg:2: expected 'name role hash', not 2 words: "));
+                StartsWith("users.cfg:2: expected 'name role hash', not 2 words; fix: "));
     EXPECT_THAT(second("client2 operator " + kHash + " x"), HasSubstr("not 4 words"));
     EXPECT_THAT(second("client2 king " + kHash),
                 HasSubstr("expected the role observer, operator, admin or entity, not 'king'"));

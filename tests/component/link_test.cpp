@@ -610,10 +610,9 @@ struct ConfigThrows : ::testing::Test {
 
 TEST_F(ConfigThrows, AtLinkUpSwitchTheServiceOffUntilAnotherValueIsTaken) {
     ASSERT_TRUE(waitUntil([&] { return isOff(); }));
-    EXPECT_EQ(
-        manager.activityOf("Drive"),
-        "the value of parameter 'Speed' was not taken: onConfig threw (the drive takes at most 300): set "
-        "another value");
+    EXPECT_EQ(manager.activityOf("Drive"),
+              "the value of parameter 'Speed' was not accepted: onConfig threw (the drive takes at most "
+              "300); fix: set another value");
     const auto refused = manager.dispatch("Drive", 0);
     ASSERT_TRUE(waitUntil([&] { return manager.answerOf(refused).has_value(); }));
     EXPECT_EQ(manager.answerOf(refused), proto::INACTIVE_SERVICE);

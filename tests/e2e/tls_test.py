@@ -83,7 +83,7 @@ class TlsTest(unittest.TestCase):
                                     f"IceSSL.CAs={self.lab.folder}/certs/ca.cert.pem", folder="others"))
         status, lines, errors = self.lab.axon("ls")
         self.assertEqual(status, 1, f"{lines} {errors}")
-        self.assertIn("Its log says why", str(lines) + errors)
+        self.assertIn("see the server's log", str(lines) + errors)
         wait_until(lambda: "the certificate is of another CA" in self.server.text(), "the server's log has it")
 
     def test_who_has_no_certificate_is_told_how_to_get_one(self):

@@ -15,54 +15,62 @@
 #include "axon/result.hpp"
 #include "axon/types.hpp"
 
-/// The client library: what an operator's program links to use robots.
-/// Its log goes to the spdlog logger "axon" when the program has registered one before its first Client, else
-/// to standard error (warnings and worse). It writes nothing to standard output.
+/// The client library: an operator's program links it to use robots.
+///
+/// The library logs to the spdlog logger "axon" if the program has registered one before it makes its first
+/// Client. Otherwise it logs warnings and errors to standard error. It writes nothing to standard output.
 namespace axon::client {
 
 struct Options {
-    /// HOST:PORT of a front-end server; or a Glacier2 router, as Axon.Clients/router:tcp -h HOST -p PORT.
+    /// HOST:PORT of a front-end server, or a Glacier2 router: Axon.Clients/router:tcp -h HOST -p PORT.
     std::string server = "127.0.0.1:10410";
     std::string user, password;
-    std::map<std::string, std::string> properties;  ///< of Ice (Ice.*, IceSSL.*), for both connections
+    std::map<std::string, std::string> properties;  ///< Ice.* and IceSSL.* properties, for both lanes
     std::string display_name;                       ///< empty = user@host
-    Seconds timeout{5};  ///< of every request that waits for an answer; never infinite
+    /// How long a request waits for its answer before it is refused with TIMED_OUT. Never infinite.
+    Seconds timeout{5};
     bool reconnect = true;
-    /// After a lost connection the leases are kept for the time that their Entity Managers grant (5 s unless
-    /// they are set otherwise) and resumed when this client is back in time. false = they are lost with it.
+    /// If true, a lost connection does not end the leases at once: each Entity Manager keeps its lease for a
+    /// grace (5 s unless it is configured otherwise), and the library resumes it if it reconnects in time.
+    /// If false, the leases end with the connection.
     bool resume = true;
-    /// connect() returns when this client has been told of every entity there is, or the timeout has passed;
-    /// false = as soon as both lanes stand, which is all that a stop of everything needs.
+    /// If true, connect() returns when this client knows every entity of the server, or after `timeout`.
+    /// If false, connect() returns as soon as both lanes are connected; a program that only stops everything
+    /// needs no more than that.
     bool await_entities = true;
-    /// Talk to the Entity Managers of what is held without the servers in between, where they offer it and
-    /// can be reached; false = by the servers only. Lease, refusals and order are the same either way. Where
-    /// the server is called by TLS or through a router nothing but the servers' way is taken
-    /// (docs/reference/direct.md).
+    /// If true, the library talks straight to the Entity Managers of the entities that it holds, where they
+    /// offer that and can be reached. If false, every message goes through the servers. Lease, refusals and
+    /// order of messages are the same either way. If the server is reached over TLS or through a router,
+    /// every message goes through the servers (docs/reference/direct.md).
     bool direct = true;
-    /// At most so many of them; what is held beyond is reached by the servers. Each costs two connections,
-    /// here and there.
+    /// At most this many direct paths. The other entities are reached through the servers. A direct path
+    /// costs two connections at each end.
     int direct_paths = 64;
-    /// When set, it is asked before each heartbeat while a task runs; false = do not send it (a live socket
-    /// is not a live operator). Called on the library's heartbeat thread.
+    /// If set, the library calls it before each heartbeat while a task runs, on its heartbeat thread. Return
+    /// false to suppress the heartbeat: a program whose socket is alive can still have lost its operator.
     std::function<bool()> keep_running;
 };
 
-/// The options with what a file of lines KEY=VALUE says: Ice.Default.Router or Axon.Server, Axon.User,
-/// Axon.Password, and properties Ice.* and IceSSL.* (docs/reference/routers.md). MALFORMED or
-/// PERMISSION_DENIED with the mend.
+/// Returns `options` with the settings of a configuration file applied. The file has one KEY=VALUE per line.
+/// The keys are Axon.Server or Ice.Default.Router, Axon.User, Axon.Password, and any property Ice.* or
+/// IceSSL.* (docs/reference/routers.md). Refused with MALFORMED if the file cannot be read or understood, and
+/// with PERMISSION_DENIED if it holds a password and others may read it. The message says how to fix it.
 Result<Options> readConfiguration(const std::filesystem::path& file, Options options = {});
 
 class Client;
 
-/// A task that was asked for. Copies refer to the same task. Dropping the last copy does not cancel it.
-/// Threads: any. Ownership: valid as long as it is held; after the client is gone its state is Unknown.
+/// A task that this client has asked for.
+///
+/// Copies refer to the same task. Destroying the last copy does not cancel it. A task object may outlive its
+/// client; its state is then Unknown. Threads: any.
 class Task {
   public:
     const std::string& id() const;
     TaskReport report() const;
-    /// Until it is final, or the time is up; the newest report either way.
+    /// Blocks until the state is final, or until `time` has passed. Returns the newest report in both cases.
     TaskReport wait(std::optional<Seconds> time = std::nullopt) const;
-    /// Each change from now on, and the present state at once. On the library's callback thread.
+    /// The callback is called immediately with the current report, then on every change. It runs on the
+    /// library's callback thread.
     void onUpdate(std::function<void(const TaskReport&)> callback) const;
     Result<void> pause() const;
     Result<void> resume() const;
@@ -76,19 +84,22 @@ class Task {
     std::shared_ptr<Shared> shared_;
 };
 
-/// A run of a global service, told of by its master. Copies refer to the same run. Dropping the last copy
-/// does not cancel it. Threads and ownership: as of a Task.
+/// A run of a global service. Its master reports on it.
+///
+/// Copies refer to the same run. Destroying the last copy does not cancel it. Threads and ownership are those
+/// of a Task.
 class Run {
   public:
     const std::string& id() const;
     RunReport report() const;
-    /// Until it is final, or the time is up; the newest report either way.
+    /// Blocks until the state is final, or until `time` has passed. Returns the newest report in both cases.
     RunReport wait(std::optional<Seconds> time = std::nullopt) const;
-    /// Each change from now on, and the present state at once. On the library's callback thread.
+    /// The callback is called immediately with the current report, then on every change. It runs on the
+    /// library's callback thread.
     void onUpdate(std::function<void(const RunReport&)> callback) const;
-    /// Of everything that runs in it. NOT_PAUSABLE where a running step is not.
+    /// Pauses every running step. Refused with NOT_PAUSABLE if one of them cannot be paused.
     Result<void> pause() const;
-    /// A run that is held tries its failed steps again.
+    /// Continues a paused run. In a run that is held (RunState::Held), tries the failed steps again.
     Result<void> resume() const;
     Result<void> cancel() const;
 
@@ -100,71 +111,83 @@ class Run {
     std::shared_ptr<Shared> shared_;
 };
 
-/// An entity that this client holds. Copies refer to the same lease; release() ends it for all of them. The
-/// lease also ends when the client is destroyed; it does not end when a CheckOut is dropped. Every call is
-/// refused with NOT_HOLDER once the lease is gone, and onLost has said why.
+/// An entity that this client holds.
 ///
-/// States: held; orphaned (the connection was lost, or the entity has left: the robot stands still and is
-/// latched, calls answer NOT_CONNECTED, the lease waits for this client to come back); gone. From orphaned it
-/// goes back to held (onResumed, the same lease) or is gone (onLost).
+/// Copies refer to the same lease. release() ends the lease for all of them, and so does the destruction of
+/// the client. Destroying a CheckOut does not end the lease. Once the lease has ended, every call is refused
+/// with NOT_HOLDER; onLost has given the reason.
+///
+/// States:
+///   held      the client may use the entity.
+///   orphaned  the connection was lost, or the entity has left. The robot stands still and is latched. Calls
+///             are refused with NOT_CONNECTED. The lease waits for this client to come back.
+///   gone      the lease has ended.
+/// An orphaned lease becomes held again (onResumed; it is the same lease) or gone (onLost).
 class CheckOut {
   public:
     Entity entity() const;
     std::vector<Service> services() const;
     Result<Service> service(std::string_view name_or_global_id) const;
 
-    /// Granted or denied by the robot application; DENIED carries its reason.
+    /// Sets a parameter of a service. The robot application grants or denies it; DENIED carries its reason.
     Result<void> set(std::string_view service, const Argument& argument) const;
-    /// Sends a file in chunks, resuming where an earlier try of the same user ended, under this check-out or
-    /// an earlier one. progress(sent, total) on the calling thread. A stop asked for through `give_up` ends
-    /// it with CANCELLED before its next chunk; the same upload goes on from there. Returns when the robot
-    /// application has accepted the file and it is in its place; behind a slow disk that takes as long as it
-    /// takes.
+    /// Sends a file in chunks. Blocks until the robot application has accepted the file and the Entity
+    /// Manager has stored it, which has no time limit: a slow disk makes it slow.
+    ///
+    /// If the same user has begun to upload this file before, under this check-out or an earlier one, the
+    /// upload goes on where it ended. progress(sent, total), in bytes, is called on the calling thread. A
+    /// stop requested through `give_up` ends the upload with CANCELLED before its next chunk; a later call
+    /// goes on from there.
     Result<void> upload(std::string_view service, std::string_view resource,
                         const std::filesystem::path& file,
                         std::function<void(std::uint64_t, std::uint64_t)> progress = {},
                         std::stop_token give_up = {}) const;
-    /// Does not wait: returns when the request has been taken to be sent; refusals arrive as
-    /// TaskState::Refused with their reason.
+    /// Asks for a task. Does not wait: returns when the request is in the send queue. A refusal arrives as
+    /// TaskState::Refused, with its reason in the report. A task that has not begun `not_after` after the
+    /// Entity Manager received it is refused with EXPIRED; 0 = it may begin at any time.
     Task run(std::string_view service, const std::vector<Argument>& arguments = {},
              Seconds not_after = Seconds{0}) const;
 
     Result<void> sendText(std::string_view text) const;
-    /// OVERLOADED when more waits for the server than may. With `wait` it waits before it sends, at most so
-    /// long, until little waits: for who sends much and does not want to be refused.
+    /// Refused with OVERLOADED if the send queue is full. With `wait`, first blocks up to that long for the
+    /// send queue to drain. Use it for bulk sending.
     Result<void> sendRaw(std::string_view bytes, Seconds wait = Seconds{0}) const;
     void onText(std::function<void(const std::string&)> callback) const;
     void onRaw(std::function<void(const std::string&)> callback) const;
     void onServiceChanged(std::function<void(const Service&)> callback) const;
     void onLost(std::function<void(const Refusal&)> callback) const;
-    /// The connection is lost, or the entity has left, for this reason; onResumed or onLost follows.
+    /// Called with the reason when the connection is lost or the entity has left. onResumed or onLost
+    /// follows.
     void onOrphaned(std::function<void(const std::string& reason)> callback) const;
-    /// The lease is valid again after a lost connection. Tasks have been asked after: those that ended
-    /// meanwhile are told as they ended, and are Unknown only where nobody knows.
+    /// Called when the lease is valid again after a lost connection. The library has then asked about the
+    /// tasks: a task that ended meanwhile is reported as it ended, or as Unknown if nobody knows how.
     void onResumed(std::function<void()> callback) const;
     bool orphaned() const;
-    /// Messages go straight to the Entity Manager and come from there (Options::direct); otherwise by the
-    /// servers. It may change at any moment, and changes nothing else.
+    /// True while messages go straight to the Entity Manager and come straight from it (Options::direct),
+    /// false while they go through the servers. It can change at any moment. Nothing else changes with it.
     bool direct() const;
 
-    /// Somebody asks for this entity, or has withdrawn. An open request is told at once. Without an answer
-    /// the policy decides.
+    /// Called when somebody asks for this entity, and when they have withdrawn. A request that is already
+    /// open is reported at once. If nobody answers it, the hand-over policy decides.
     void onHandOverRequest(std::function<void(const HandOverRequest&)> callback) const;
     std::optional<HandOverRequest> handOverRequest() const;
-    /// WRONG_STATE when nobody asks. Accepting stops the robot; then the lease ends (onLost).
+    /// Answers the open request; refused with WRONG_STATE if there is none. Accepting stops the robot, then
+    /// ends the lease (onLost).
     Result<void> answerHandOver(bool accept, std::string_view reason = {}) const;
     Result<void> setHandOverPolicy(const HandOverPolicy& policy) const;
-    /// What Client::resume needs to take this lease over in another process. Whoever has it has the lease:
-    /// keep it like a password.
+    /// Returns what Client::resume needs to take this lease over in another process. Whoever has the ticket
+    /// has the lease: keep it like a password.
     std::string ticket() const;
 
-    /// Stops the running task and goes on with the next of the queue; does not latch (thesis: reset command).
-    /// Like clear() it waits for the receipt, so neither may be called on the library's callback thread. The
-    /// receipt says how many tasks that ended, which may be none. WRONG_STATE where it takes part in a
-    /// collaboration and runs no step.
+    /// Stops the running task and goes on with the next one of the queue. Does not latch. (The reset command
+    /// of the thesis.)
+    ///
+    /// Blocks until the receipt arrives, as clear() does: call neither on the library's callback thread. The
+    /// receipt says how many tasks have ended, which can be none. Refused with WRONG_STATE if the entity
+    /// takes part in a collaboration and runs no step.
     Result<Receipt> reset() const;
-    /// Stops the running task, empties the queue and leaves a collaboration; does not latch (thesis: clear
-    /// command).
+    /// Stops the running task, empties the queue and leaves a collaboration. Does not latch. (The clear
+    /// command of the thesis.)
     Result<Receipt> clear() const;
     Result<void> release() const;
 
@@ -179,16 +202,25 @@ class CheckOut {
 /// A connection to an Axon server, with its own signal lane, heartbeats and reconnection.
 ///
 /// Where in the flow: the first station (ARCHITECTURE.md, section 1).
-/// States: connected; lost (reconnecting with backoff, calls answer NOT_CONNECTED, leases are orphaned);
-/// closed.
-/// Threads: every member may be called from any thread. Callbacks run on one thread of the library, in order;
-/// they may call anything except what waits (Task::wait, checkOut, …). Ownership: closing or destroying it
-/// releases what it holds, in an orderly way. Failure: refusals as Result; nothing throws but misuse
-/// (std::logic_error) and std::bad_alloc, which ends the program where it comes while a message leaves.
+///
+/// States:
+///   connected  requests are sent.
+///   lost       the library reconnects with back-off. Calls are refused with NOT_CONNECTED, and the leases
+///   are
+///              orphaned.
+///   closed     final.
+///
+/// Threads: any thread may call every member. Callbacks run in order on one thread of the library. A callback
+/// may call everything except a function that waits (Task::wait, checkOut, …).
+///
+/// Ownership: close() and the destructor release the entities that the client holds and wait for the answers.
+///
+/// Failure: refusals come as a Result. Two exceptions are thrown: std::logic_error for misuse, and
+/// std::bad_alloc. A std::bad_alloc while a message is being sent ends the program.
 class Client {
   public:
-    /// UNAVAILABLE, PERMISSION_DENIED, … with the mend in the message when there is no session within the
-    /// timeout.
+    /// Logs in. Refused with UNAVAILABLE, PERMISSION_DENIED, … if there is no session within the timeout; the
+    /// message says how to fix it.
     static Result<std::unique_ptr<Client>> connect(Options options);
     ~Client();
     Client(const Client&) = delete;
@@ -199,64 +231,76 @@ class Client {
     std::string server() const;
 
     std::vector<Entity> entities(Listed listed = Listed::Ready) const;
-    /// By name, "Name#2" (the second of that name in order of UUID), UUID or unique beginning of one (at
-    /// least 4 characters). AMBIGUOUS_ENTITY names the candidates, UNKNOWN_ENTITY the nearest names. One that
-    /// is not ready is found where no ready one is meant.
+    /// Finds an entity by its name, by "Name#2" (the second one of that name, in order of UUID), by its UUID,
+    /// or by a unique beginning of the UUID (at least 4 characters). Entities that are not ready are
+    /// considered only if no ready one matches. AMBIGUOUS_ENTITY names the candidates, UNKNOWN_ENTITY the
+    /// nearest names.
     Result<Entity> find(std::string_view name) const;
-    /// Waits until such an entity is there and ready (and not UNAV, INIT, ENVCONN or ERR), or the time is up.
+    /// Blocks until such an entity is there and ready (and not UNAV, INIT, ENVCONN or ERR), or until `time`
+    /// has passed.
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
-    /// Of entities that are ready; one that becomes so joins.
+    /// Called for entities that are ready. One that becomes ready is reported as joined.
     void onEntity(std::function<void(Presence, const Entity&)> callback);
     void onConnection(std::function<void(bool connected, const std::string& reason)> callback);
 
-    /// All of them or none (reserve, then commit or abort). ALREADY_HELD names the holder. TIMED_OUT when the
-    /// time to wait is up, CANCELLED when it was given up.
+    /// Checks out all of the named entities, or none of them. Blocks as `options` says. ALREADY_HELD names
+    /// the holder. TIMED_OUT means that the time to wait has passed, CANCELLED that `give_up` has ended the
+    /// wait.
     Result<std::vector<CheckOut>> checkOut(const std::vector<std::string>& names,
                                            const CheckOutOptions& options = {});
     Result<CheckOut> checkOut(std::string_view name, const CheckOutOptions& options = {});
-    /// What the query says, chosen among those that are free and ready: "2 ROBOT/MOBILE + 1
-    /// ROBOT/STATIONARY", "ROBOT with Driving". The refusal says what is missing, and of whom.
+    /// Checks out entities that match a query, chosen among those that are free and ready. Examples: "2
+    /// ROBOT/MOBILE + 1 ROBOT/STATIONARY", "ROBOT with Driving". A refusal says what is missing and which
+    /// entities lack it.
     Result<std::vector<CheckOut>> checkOutQuery(std::string_view query, const CheckOutOptions& options = {});
-    /// The lease of a CheckOut::ticket() of another process (or of this one before it was restarted), within
-    /// its grace. The robot is stopped if the other one still lives.
+    /// Takes over the lease whose CheckOut::ticket() came from another process, or from an earlier run of
+    /// this one. Only possible within the grace of the lease. If the other process is still alive, the robot
+    /// is stopped.
     Result<CheckOut> resume(std::string_view ticket);
-    /// What this client holds now.
+    /// The entities that this client holds now.
     std::vector<CheckOut> held() const;
 
-    /// Stops entities, held or not; none named = every entity there is. Waits for the receipts up to the
-    /// deadline, and, once all are confirmed, up to `standstill` after the call for those of robots that were
-    /// moving and whose applications report when they stand still.
+    /// Stops entities, whoever holds them. An empty `names` stops every entity.
+    ///
+    /// Blocks until all receipts have arrived, at most for `deadline`. If all are confirmed by then, goes on
+    /// waiting until the robots that were moving stand still, at most until `standstill` after the call; only
+    /// robots whose applications report standstill are waited for.
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline = Seconds{1},
                                       Seconds standstill = Seconds{0});
-    /// Measures the way of a stop without stopping anything: the Entity Interfacer acknowledges without
-    /// calling the application, nothing latches and no task ends. `count` tries, one each `period` (each may
-    /// take a second, then it counts as never arrived). None named = every entity there is.
+    /// Measures how long a stop takes, without stopping anything. The Entity Interfacer acknowledges without
+    /// calling the application; nothing latches and no task ends. An empty `names` measures every entity.
+    ///
+    /// Makes `count` tries, one every `period`. A try that has no answer after 1 s counts as never arrived.
     Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names, int count = 1,
                                            Seconds period = Seconds{0.1}, std::stop_token give_up = {});
     Result<void> rearm(std::string_view name);
-    /// Services and parameters of any entity, held or not.
+    /// Services and parameters of an entity, whoever holds it.
     Result<std::vector<Service>> services(std::string_view name) const;
-    /// Likewise, and how near its dead-men came to their end.
+    /// The same, with its findings and how close its watchdogs came to tripping.
     Result<Details> details(std::string_view name) const;
 
     /// The global services that the front-end server offers, and what it found in their files.
     Result<GlobalServices> globalServices() const;
-    /// Who could play which role: everybody who is there is asked for their services. A name of `chosen` that
-    /// means nobody, or several, refuses the whole; what else is in the way stands in the proposal.
+    /// Finds out which entity could play which role. Asks every entity that is present for its services.
+    /// `chosen` fixes some of the roles; a name in it that matches no entity, or several, refuses the call.
+    /// All other obstacles are listed in the proposal.
     Result<Proposal> propose(const GlobalService& service, const Bindings& chosen = {}) const;
-    /// Asks `master`, one of the participants, to carry the service out; it makes no difference which. Every
-    /// role needs an entity of its own that this client holds (NOT_HOLDER), all under leases of one root
-    /// (check-outs of one session, or resumed from one: WRONG_STATE otherwise). What the participants have
-    /// against it comes as RunState::Refused, with all the problems; nothing has moved then.
+    /// Asks `master` to carry the service out. Any participant can be the master; it makes no difference
+    /// which.
+    ///
+    /// Every role needs a different entity that this client holds (NOT_HOLDER). All their leases must come
+    /// from one session, or be resumed from leases of one session (WRONG_STATE). Objections of the
+    /// participants arrive as RunState::Refused with all problems; nothing has moved then.
     Result<Run> runGlobal(const GlobalService& service, const Bindings& bindings, std::string_view master);
-    /// Likewise, but nothing moves: Succeeded when it would be possible, else Refused with the problems.
+    /// Checks whether runGlobal() would be possible. Nothing moves. The run ends as Succeeded if it would be,
+    /// and as Refused with the problems if not.
     Result<Run> checkGlobal(const GlobalService& service, const Bindings& bindings, std::string_view master);
-    /// The runs that these entities, or all that are there, were the master of; `most` of each, 0 = all that
-    /// it keeps.
+    /// The past runs whose master was one of these entities; an empty `names` asks every entity. At most
+    /// `most` runs of each; 0 = all that it keeps.
     Result<RunHistory> runHistory(const std::vector<std::string>& names = {}, int most = 0) const;
 
-    /// Samples of an entity's streams, held or not; no stream named = all. The handle ends the watch when
-    /// dropped.
+    /// Subscribes to streams of an entity, whoever holds it. An empty `streams` subscribes to all of them.
+    /// The callback runs on the library's callback thread. Destroying the handle ends the subscription.
     Result<std::shared_ptr<void>> watch(std::string_view name, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> callback);
     void close();

@@ -11,44 +11,48 @@
 #include "axon/refusal.hpp"
 #include "axon/types.hpp"
 
-/// Global services: what several entities do together (docs/reference/profiles.md), and the runs of them.
+/// Global services, and runs of them.
+///
+/// A global service is a job for several entities: a list of steps, each of which is a service of one entity
+/// (docs/reference/profiles.md). A *role* is a place in it that one entity fills. A *run* is one execution of
+/// it. The entities in a run are its *participants*, and one of them, the *master*, orders the steps.
 namespace axon::client {
 
-/// An input of a step that an earlier one gives as its output.
+/// Takes the input `parameter` of a step from the output `output` of an earlier step, `step`.
 struct ParameterSource {
     std::string parameter, step, output;
 };
 
 struct GlobalStep {
-    int role = 0;                ///< which participant
-    std::string category, type;  ///< of who may play the role: ROBOT or MACHINE, MOBILE or STATIONARY
+    int role = 0;                ///< number of the role that carries the step out
+    std::string category, type;  ///< of an entity that may play it: ROBOT or MACHINE, MOBILE or STATIONARY
     std::string service_global_id;
-    int preced = 0;                    ///< equal numbers run at the same time
-    std::string name;                  ///< what later steps call it; empty = nothing
-    std::vector<Argument> parameters;  ///< as texts: only the entity knows their types
+    int preced = 0;                    ///< order, ascending; steps with equal numbers run at the same time
+    std::string name;                  ///< by which later steps refer to it; empty = none
+    std::vector<Argument> parameters;  ///< as texts, because only the entity knows their types
     std::vector<ParameterSource> sources;
 };
 
-/// What happens to the others when a step fails. A stop stops all of them in any case.
+/// What happens to the other steps when a step fails. A stop of one participant always stops all of them.
 enum class OnFailure : std::uint8_t {
     StopAll,
-    HoldOthers,  ///< steps that can be paused are, the others are stopped; then the operator decides
-    Compensate,  ///< all are stopped, then the steps of the compensation run
+    HoldOthers,  ///< pauses the steps that can be paused and stops the others; then the operator decides
+    Compensate,  ///< stops all steps, then runs the steps of the compensation
 };
 const char* toString(OnFailure on_failure);
 
 struct GlobalService {
     std::string name, descr;
-    std::string file;  ///< of the server, without its folder
+    std::string file;  ///< name of its file on the server, without the folder
     OnFailure on_failure = OnFailure::StopAll;
     std::vector<GlobalStep> steps, compensation;
 };
 
-/// One file of the server's folder. What has errors offers no services.
+/// One file in the server's folder of global services. A file with an error offers no services.
 struct GlobalFile {
     std::string name;
-    std::vector<std::string> findings;  ///< "file:line: severity: element: what was expected: how to mend it"
-    bool bad = false;                   ///< there is an error among them
+    std::vector<std::string> findings;  ///< "file:line: severity: element: what was expected: how to fix it"
+    bool bad = false;                   ///< at least one finding is an error
 };
 
 struct GlobalServices {
@@ -56,74 +60,81 @@ struct GlobalServices {
     std::vector<GlobalFile> files;
 };
 
-/// Role → entity: a name as Client::find takes it.
+/// Which entity plays which role: role number → name, in the forms that Client::find accepts.
 using Bindings = std::map<int, std::string>;
 
-/// Why one entity cannot play a role.
+/// An entity that cannot play a role now, and why.
 struct Unfit {
     std::string entity, name;  ///< UUID, name
-    Refusal why;               ///< a sentence without its subject: "is held by ana@lab, and was stopped"
-    int distance = 0;          ///< how far it is from being able: 1 a rearm, … 8 another kind of entity
+    Refusal why;               ///< the message is a predicate: "is held by ana@lab, and was stopped"
+    /// How much is missing, so that the nearest candidate can be shown first. If several things are missing,
+    /// the largest number counts.
+    /// 1 = it is latched: rearm it. 2 = this client holds it, but it is busy. 3 = another client holds it.
+    /// 4 = it is not available, or does not answer. 5 = a parameter or resource is missing. 6 = a service is
+    /// not active. 7 = it does not offer a service. 8 = it is another kind of entity.
+    int distance = 0;
 };
 
-/// What was found for one role.
+/// The candidates for one role.
 struct RoleOutlook {
     int role = 0;
-    std::string wanted;             ///< "ROBOT/MOBILE with drive, look"
-    std::string kind;               ///< "ROBOT/MOBILE"
-    std::vector<std::string> able;  ///< names of those that could play it now
-    std::vector<Unfit> unfit;       ///< nearest first
-    std::string entity, name;       ///< who plays it: UUID, name; empty = nobody
+    std::string wanted;             ///< what the role asks for: "ROBOT/MOBILE with drive, look"
+    std::string kind;               ///< the kind of entity alone: "ROBOT/MOBILE"
+    std::vector<std::string> able;  ///< names of the entities that could play it now
+    std::vector<Unfit> unfit;       ///< the other entities, smallest distance first
+    std::string entity, name;       ///< the entity that is proposed: UUID, name; empty = none
 };
 
-/// Who could play which role of a global service, found by Client::propose().
+/// Which entity could play which role of a global service: the result of Client::propose(). Every role gets a
+/// different entity, and as many roles as possible get one.
 struct Proposal {
-    std::vector<RoleOutlook> roles;          ///< in order of their numbers
-    std::vector<std::string> nobody_offers;  ///< services that no entity has, of whatever kind
-    Refusal why;                             ///< role by role, one line each; OK when every role is played
+    std::vector<RoleOutlook> roles;          ///< in order of the role numbers
+    std::vector<std::string> nobody_offers;  ///< services that no entity of any kind offers
+    Refusal why;  ///< why roles have no entity, one line per role; OK = all have one
 
+    /// True if every role has an entity.
     bool complete() const { return why.ok(); }
 };
 
 enum class RunState : std::uint8_t {
-    Checking = 1,  ///< the participants are asked whether they can and may
+    Checking = 1,  ///< the master asks the participants whether they can and may take part
     Running,
     Paused,
-    Held,      ///< a step failed, the others were held: resume tries it again, cancel ends the run
-    Stopping,  ///< a step failed: everybody is being stopped
+    Held,      ///< a step failed and the others were held: resume tries it again, cancel ends the run
+    Stopping,  ///< a step failed and all participants are being stopped
     Compensating,
-    Succeeded,  ///< the states from here on are final; of a check: it would be possible
+    Succeeded,  ///< this state and all below are final; for a check: the run would be possible
     Failed,
     Stopped,
     Cancelled,
     Refused,  ///< nothing has moved
-    Unknown   ///< the master was lost while it ran
+    Unknown   ///< the master was lost during the run
 };
 inline bool isFinal(RunState state) {
     return state >= RunState::Succeeded;
 }
 const char* toString(RunState state);
 
-/// How far a step is.
+/// The progress of one step.
 struct StepReport {
-    int step = 0;  ///< position in the service from 0; those of the compensation after the steps
+    int step = 0;  ///< position in the service, from 0; the compensation follows the steps
     bool compensation = false;
-    std::string called;        ///< its name in the service; empty = none
+    std::string called;        ///< GlobalStep::name
     std::string entity, name;  ///< UUID, name
     std::string service;       ///< global id
     int preced = 0;
-    std::optional<TaskState> state;  ///< none: its turn has not come
+    std::optional<TaskState> state;  ///< no value = the step has not begun
     double progress = -1;            ///< 0 to 1; negative = not known
     std::string feedback;
     std::map<std::string, std::vector<Value>> parameters, results;
     Refusal reason;
     std::optional<Seconds> began, ended;  ///< since the launch
-    int tries = 1;                        ///< above 1: after a hold it was tried again
+    int tries = 1;                        ///< above 1 if it was tried again after a hold
 };
 
 /// Why a run is not possible.
 struct RunProblem {
-    int step = -1;       ///< as in StepReport; -1 = no single one
+    int step = -1;       ///< as in StepReport; -1 = the problem concerns no single step
     std::string entity;  ///< name
     Refusal refusal;
 };
@@ -132,29 +143,29 @@ struct RunReport {
     std::string id;       ///< UUID text of the run
     std::string service;  ///< name of the global service
     std::string master;   ///< UUID
-    bool check = false;   ///< only whether it would be possible
+    bool check = false;   ///< from Client::checkGlobal(): nothing moves
     RunState state = RunState::Checking;
-    double progress = 0;            ///< of the whole, 0 to 1
-    Seconds elapsed{0};             ///< since the launch, by the master's clock
+    double progress = 0;            ///< of the whole run, 0 to 1
+    Seconds elapsed{0};             ///< since the launch, on the master's clock
     std::vector<StepReport> steps;  ///< in order of their positions
     std::vector<RunProblem> problems;
-    Refusal reason;  ///< why it failed, was stopped, refused …
+    Refusal reason;  ///< why it failed, was stopped, was refused …
 };
 
-/// Who played a role.
+/// The entity that played a role.
 struct Participant {
     int role = 0;
     std::string entity, name;  ///< UUID, name
 };
 
-/// What became of a run; kept by its master.
+/// A past run and its result. The master keeps it.
 struct RunRecord {
     std::string id;
     GlobalService service;
-    std::string by;      ///< the client
+    std::string by;      ///< name of the client that asked for the run
     std::string master;  ///< UUID
     std::vector<Participant> participants;
-    std::chrono::system_clock::time_point asked_at;  ///< by the client's clock
+    std::chrono::system_clock::time_point asked_at;  ///< on the client's clock
     Seconds duration{0};
     RunState state = RunState::Unknown;
     Refusal reason;
@@ -163,7 +174,7 @@ struct RunRecord {
 
 struct RunHistory {
     std::vector<RunRecord> runs;  ///< newest first
-    /// Entities that were asked and have not answered: names, and why.
+    /// Entities that were asked and have not answered: name and reason.
     std::vector<std::pair<std::string, Refusal>> silent;
 };
 

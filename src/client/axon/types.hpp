@@ -13,44 +13,46 @@
 #include "axon/refusal.hpp"
 #include "axon/states.hpp"
 
-/// What the client library tells of entities, services, tasks and stops, and what it is told. Plain values:
-/// copy them, keep them; nothing in them changes of its own accord.
+/// The values that the client library takes and returns: entities, services, tasks, stops and their options.
+/// They are plain values. A program may copy and keep them; the library never changes a value that it has
+/// returned.
 namespace axon::client {
 
 using Seconds = std::chrono::duration<double>;
 
-/// One value of a parameter. An int64 is accepted where a double is asked for.
+/// One value of a parameter. An int64 is accepted where a double is expected.
 using Value = std::variant<std::int64_t, double, std::string, bool>;
 std::string toText(const Value& value);
 
-/// A parameter given to a task or set on a service: more than one value only for a "multiple" parameter.
-/// With `from_text` the values are strings that are read by the parameter's declared type (a command line).
+/// A parameter that is given to a task or set on a service. Only a "multiple" parameter takes more than one
+/// value. With `from_text` every value is a string, as from a command line, and is parsed by the declared
+/// type of the parameter.
 struct Argument {
     std::string name;
     std::vector<Value> values;
-    std::string units;  ///< optional; refused with WRONG_UNITS when it is not the profile's
+    std::string units;  ///< optional; refused with WRONG_UNITS if it differs from the profile
     bool from_text = false;
 };
 
 /// What a parameter is for.
 enum class ParameterKind : std::uint8_t {
-    Input,    ///< what a task works with: given with the task, or set beforehand
-    Output,   ///< a result of a task, of the robot application
+    Input,    ///< an input of a task, given with the task or set beforehand
+    Output,   ///< a result of a task, from the robot application
     Config,   ///< a setting of the service
-    Feedback  ///< what the robot application tells while a task runs
+    Feedback  ///< reported by the robot application while a task runs
 };
-/// The word of the profile: "INPUT", "OUTPUT", "CONFIG", "FEEDBACK".
+/// The word in the profile: "INPUT", "OUTPUT", "CONFIG", "FEEDBACK".
 const char* toString(ParameterKind kind);
 
-/// What the values of a parameter are.
+/// The type of the values of a parameter.
 enum class DataType : std::uint8_t {
-    Unknown,  ///< the entity does not say
+    Unknown,  ///< the entity does not say which
     Integer,
     Double,
     Text,
     Boolean
 };
-/// The word of the profile: "INT", "DBL", "STR", "BOOL"; "" for Unknown.
+/// The word in the profile: "INT", "DBL", "STR", "BOOL"; "" for Unknown.
 const char* toString(DataType type);
 
 struct Parameter {
@@ -71,9 +73,9 @@ struct Resource {
 
 enum class ServiceKind : std::uint8_t {
     Simple,    ///< carried out by the robot application
-    Composite  ///< the services of Service::parts, one after the other
+    Composite  ///< the services in Service::parts, one after the other
 };
-/// The word of the profile: "SMPL", "CMPLX".
+/// The word in the profile: "SMPL", "CMPLX".
 const char* toString(ServiceKind kind);
 
 struct Service {
@@ -81,47 +83,48 @@ struct Service {
     ServiceKind kind = ServiceKind::Simple;
     std::string descr, notes;
     bool active = true, executing = false, blocking = true, pausable = false;
-    std::string inactive_reason;  ///< why it is switched off, where the robot application has said it
+    std::string inactive_reason;  ///< why it is not active; empty if the robot application gave no reason
     std::vector<Parameter> parameters;
     std::vector<Resource> resources;
-    std::vector<std::string> missing;  ///< what must be set or uploaded before it can run
-    std::vector<std::string> parts;    ///< of a composite one, in order, by name or global id
+    std::vector<std::string> missing;  ///< parameters and resources to set or upload before it can run
+    std::vector<std::string> parts;    ///< of a composite service, in order: name or global id
 };
 
-/// What everybody may see of an entity.
+/// The part of an entity's state that every client may see.
 struct Entity {
     std::string id;  ///< UUID
-    /// False until its robot application has uploaded valid profiles to its Entity Manager: then `name` is
-    /// that of the application, `category`, `type` and `descr` are empty, and `reason` says what is missing.
+    /// False until the robot application has uploaded valid profiles to its Entity Manager. While it is
+    /// false, `name` is the name of the application, `category`, `type` and `descr` are empty, and `reason`
+    /// says what is missing.
     bool ready = true;
     std::string name, category, type, descr;
     double x_mm = 0, y_mm = 0, z_mm = 0;
     EntityState state = EntityState::UNAV;
     bool latched = false;
     std::int32_t stop_generation = 0;
-    Sender holder;                        ///< id empty when free
-    std::string reason;                   ///< of UNAV, INIT and ERR; in IDLE from whom it was taken, and why
-    bool orphaned = false;                ///< the holder is lost, and may still come back
-    int waiting = 0;                      ///< how many wait for it
-    std::optional<Seconds> stop_latency;  ///< of the servers' own last drill: to the application and back
+    Sender holder;                        ///< its id is empty if nobody holds the entity
+    std::string reason;                   ///< of UNAV, INIT and ERR; in IDLE: from whom it was taken, and why
+    bool orphaned = false;                ///< the holder is lost and may still come back
+    int waiting = 0;                      ///< number of clients in its wait list
+    std::optional<Seconds> stop_latency;  ///< to the application and back, in the server's own last drill
 };
 
-/// Which entities a list has: those that are ready, or also those that are not (Entity::ready).
+/// Which entities a list contains: only those that are ready (Entity::ready), or all.
 enum class Listed : std::uint8_t { Ready, All };
 
-/// How near a dead-man came to its end.
+/// How close a watchdog came to tripping.
 struct WatchdogMargin {
     std::string hop;         ///< who watches whom
-    Seconds timeout{0};      ///< the robot is stopped after so long a silence
-    Seconds longest_gap{0};  ///< the longest silence of the last minute
+    Seconds timeout{0};      ///< the watchdog stops the robot after this much silence
+    Seconds longest_gap{0};  ///< the longest silence in the last minute
 };
 
-/// What is not as an entity's profiles or its users mean it to be, for people.
+/// Something about an entity that differs from its profiles or from what its users expect. For people.
 struct EntityFinding {
-    std::string message, fix;  ///< what is the matter, and what to do about it
+    std::string message, fix;  ///< what is wrong, and what to do about it
 };
 
-/// What an entity tells of itself when it is asked.
+/// What an entity reports about itself on request.
 struct Details {
     std::vector<Service> services;
     std::vector<WatchdogMargin> watchdogs;
@@ -152,87 +155,91 @@ struct TaskReport {
     double progress = -1;  ///< 0 to 1; negative = not known
     std::string feedback;
     std::map<std::string, std::vector<Value>> results;
-    Refusal reason;         ///< why it failed, was stopped, refused …
-    bool accepted = false;  ///< the Entity Manager has taken it: it waits there for its turn, or has begun
+    Refusal reason;         ///< why it failed, was stopped, was refused …
+    bool accepted = false;  ///< the Entity Manager has accepted it: it is queued there, or has begun
 };
 
-/// What became of a stop, stage by stage (docs/explanation/safety.md, "What a receipt says"). Times since
-/// the call, on the client's clock; a stage that has not answered within the deadline has no time.
+/// The result of a stop for one entity, stage by stage (docs/explanation/safety.md, "What a receipt says").
+/// Times count from the call, on the client's clock. A stage that has not answered within the deadline has no
+/// time.
 struct Receipt {
     std::string entity, name;
     std::int32_t stop_generation = 0;
     EntityState state = EntityState::UNAV;
     std::optional<Seconds> server, manager, callback_returned, standstill;
-    bool no_application =
-        false;  ///< no robot application is linked, and none is missing: there was nothing to stop
-    /// Why nobody can tell that the robot was stopped: its application was linked and fell silent, or its
-    /// connection was closed without a good-bye. Empty = it is not so. An application that comes back within
-    /// the deadline is given the stop, and confirms it.
+    /// No robot application is linked and none was lost, so there was nothing to stop.
+    bool no_application = false;
+    /// Why nobody can confirm that the robot was stopped: its application was linked and fell silent, or its
+    /// connection was closed without a good-bye. Empty = no application was lost. An application that comes
+    /// back within the deadline receives the stop and confirms it.
     std::string application_lost;
     std::optional<Seconds> application_lost_for;  ///< at the time of the receipt
-    std::string fault;  ///< the application's stop callback threw this; it is called again until it returns
-    Seconds precision{0};  ///< of the times: the step of a laboratory's time (AXON_CLOCK), in which nothing
-                           ///< shorter can be told
-    /// The robot was moving, and its application reports when it stands still.
+    std::string fault;     ///< what the stop callback threw; it is called again until it returns
+    Seconds precision{0};  ///< of the times: the step of a laboratory's clock (AXON_CLOCK); 0 = real time
+    /// The robot was moving, and its application will report when it stands still.
     bool standstill_follows = false;
-    int tasks_ended = 0;    ///< of CheckOut::reset() and clear(): the running ones
-    int tasks_removed = 0;  ///< of CheckOut::clear(): those that waited
-    /// The EM and, where there is an application, its stop callback have answered.
+    int tasks_ended = 0;    ///< running tasks that CheckOut::reset() or clear() has ended
+    int tasks_removed = 0;  ///< queued tasks that CheckOut::clear() has removed
+    /// True if the Entity Manager has answered and, if there is an application, its stop callback has
+    /// returned.
     bool confirmed() const { return manager && (callback_returned || no_application); }
-    /// Nothing more is expected of this robot.
+    /// True if the stop is confirmed and no report of a standstill is outstanding.
     bool atRest() const { return confirmed() && (standstill || !standstill_follows); }
 };
 
-/// What a drill measured of one entity: one entry for each try, in order; no time = it never arrived.
+/// What a drill has measured for one entity: one entry per try, in order. An entry without a time means that
+/// the answer never arrived.
 struct DrillReport {
     std::string entity, name;
     std::vector<std::optional<Seconds>> manager;  ///< the Entity Manager's answer, back at this client
     std::vector<std::optional<Seconds>>
         callback;                 ///< the Entity Interfacer's, where its stop callback begins
-    bool no_application = false;  ///< in the last try there was no robot application to answer
+    bool no_application = false;  ///< there was no robot application to answer the last try
 };
 
-/// What becomes of the wishes of others for an entity that this client holds.
+/// How requests of other clients for an entity that this client holds are answered.
 struct HandOverPolicy {
-    Seconds answer_within{30};  ///< at most 600
-    bool yield = false;         ///< silence hands over; otherwise it refuses
-    bool refuse = false;        ///< nobody is asked: the library refuses at once, in this client's name
+    Seconds answer_within{30};  ///< how long the program has to answer, at most 600 s
+    bool yield = false;         ///< without an answer: true hands the entity over, false refuses
+    bool refuse = false;        ///< the library refuses every request at once and does not ask the program
 };
 
-/// Somebody asks for an entity that this client holds.
+/// Another client asks for an entity that this client holds.
 struct HandOverRequest {
     std::string by, reason;
-    Seconds answer_within{0};  ///< from when it is told, or asked for by CheckOut::handOverRequest()
-    bool yield = false;        ///< what silence means
-    bool withdrawn = false;    ///< who asked has gone, or the time was up: nothing is left to answer
+    Seconds answer_within{0};  ///< time left, from the callback or from CheckOut::handOverRequest()
+    bool yield = false;        ///< without an answer: true hands the entity over, false refuses
+    bool withdrawn = false;    ///< the other client has gone, or its time is up: no answer is expected
 };
 
-/// How a check-out that cannot be had at once is coming along.
+/// The progress of a check-out that waits.
 struct Waiting {
-    std::string entity;   ///< UUID; empty where several are waited for
-    int place = 0;        ///< in the Entity Manager's wait list, 1 = next; 0 where there is none
+    std::string entity;   ///< UUID; empty if the check-out waits for several entities
+    int place = 0;        ///< in the Entity Manager's wait list, 1 = next; 0 = not in one
     std::string message;  ///< for people
 };
 
-/// How to check out. As it is: now or not at all.
+/// Options of a check-out. The defaults grant it immediately or refuse it.
 struct CheckOutOptions {
-    /// Wait so long for what is held by others; without a value do not wait. One entity: in the Entity
-    /// Manager's wait list, first come, first served. Several, or a query: until all are free at once. With
-    /// `ask`: for the holder's answer, and in the list when that is no.
+    /// How long to wait for entities that others hold. Without a value, do not wait. A check-out of one
+    /// entity waits in the wait list of its Entity Manager, first come, first served. A check-out of several
+    /// entities, or by a query, waits until all of them are free at the same time. With `ask`, it waits for
+    /// the holder's answer, and then in the wait list if the answer is no.
     std::optional<Seconds> wait;
-    /// Each change while it waits. On the library's callback thread.
+    /// Called on every change while the check-out waits, on the library's callback thread.
     std::function<void(const Waiting&)> on_waiting;
-    /// Ask the holder to hand it over (one entity, by name). Ends with the grant or HAND_OVER_REFUSED.
+    /// Ask the holder to hand the entity over. For one entity, by name. The check-out ends with the grant or
+    /// with HAND_OVER_REFUSED.
     bool ask = false;
-    /// Take what is held from its holder: admins only. The robot is stopped first, and the holder told.
+    /// Take the entities from their holders. For admins only. Each robot is stopped first, and its holder is
+    /// told.
     bool force = false;
-    std::string reason;        ///< for the holder, with `ask` and `force`
-    HandOverPolicy hand_over;  ///< of the lease that this makes
-    std::stop_token give_up;   ///< ends the wait with CANCELLED
+    std::string reason;        ///< shown to the holder, with `ask` and `force`
+    HandOverPolicy hand_over;  ///< of the new lease
+    std::stop_token give_up;   ///< a stop request ends the wait with CANCELLED
 };
 
-/// One sample of a stream. `json` is the sample's content as JSON text; `raw` the serialized
-/// axon.proto.StreamSample.
+/// One sample of a stream. `json` is its content as JSON text, `raw` the serialized axon.proto.StreamSample.
 struct Sample {
     std::string entity, stream;
     std::uint64_t sequence = 0;

@@ -8,8 +8,8 @@
 
 namespace axon::client {
 
-/// A time of the public header on the client's clock: from zero to a day. What is longer would overflow sums
-/// with it.
+/// Converts a time of the public header. The result is from zero to a day, because sums with a longer time
+/// could overflow.
 inline Duration toDuration(Seconds seconds) {
     return std::chrono::duration_cast<Duration>(std::clamp(seconds, Seconds{0}, Seconds{86400}));
 }

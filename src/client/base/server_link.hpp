@@ -28,7 +28,8 @@ enum class Operation : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset,
 
 /// What the session logic sends to the server: the client's side of ClientSession (thesis, figure 3.13).
 /// Implementations: the Ice rim (session.cpp), a fake in tests, a simulated network. Called from inside the
-/// core; must neither call back into it nor wait. What is sent while there is no connection is dropped.
+/// core: implementations must neither call back into it nor wait. Messages are dropped while there is no
+/// connection.
 class ServerLink {
   public:
     virtual ~ServerLink() = default;

@@ -20,7 +20,7 @@ struct Held {
     auto operator<=>(const Held&) const = default;
 };
 
-/// What a lease offers besides the way by the servers. Called from inside the core.
+/// What a lease offers besides the way through the servers. Called from inside the core.
 class LeaseOffers {
   public:
     virtual ~LeaseOffers() = default;
@@ -33,11 +33,11 @@ class LeaseOffers {
                           const std::string& /*signal_endpoint*/, const std::string& /*key*/) {}
 };
 
-/// What the core tells its owner. Called from inside the core: implementations queue, they do not call back
-/// and do not wait.
+/// What the core reports to its owner. Called from inside the core: implementations must neither call back
+/// into it nor wait.
 class SessionObserver : public LeaseOffers {
   public:
-    /// Of those that are ready: one that becomes so joins.
+    /// Called for entities that are ready. One that becomes ready is reported as joined.
     virtual void onEntity(Presence presence, const Entity& entity) = 0;
     virtual void onTask(const TaskReport& report) = 0;
     virtual void onRun(const RunReport& /*report*/) {}

@@ -22,12 +22,12 @@ class SignalMarks {
         newest = std::max(newest, generation);
     }
     /// What the entity itself says of the present, once it has answered this client: an Entity Manager that
-    /// began anew counts from its own beginning.
+    /// was restarted counts from its own beginning.
     void take(const std::string& entity, std::int32_t generation) {
         const std::lock_guard lock(mutex_);
         newest_[entity] = generation;
     }
-    /// It has left: what comes back under its name tells its generation anew.
+    /// The entity has left. If it comes back, it reports its generation again.
     void forget(const std::string& entity) {
         const std::lock_guard lock(mutex_);
         newest_.erase(entity);

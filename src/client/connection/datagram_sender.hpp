@@ -38,7 +38,7 @@ class DatagramSender {
     void forget(const std::string& entity, LeaseNumber lease);
     /// Of one entity, or ("") of all that are held here. The first copies are sent before it returns.
     void stop(const std::string& entity, std::int64_t sequence, std::int32_t generation);
-    /// Joins the thread; nothing is sent any more. Not on that thread.
+    /// Joins the thread. Nothing is sent afterwards. Must not be called on that thread.
     void close();
 
   private:

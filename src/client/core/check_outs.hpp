@@ -33,8 +33,8 @@ class CheckOuts {
 
     explicit CheckOuts(const CoreParts& parts) : parts_(parts) {}
 
-    /// The number is for giveUp(). `options.give_up` is the owner's affair; `options.on_waiting` must not
-    /// call back into the core.
+    /// Returns the number for giveUp(). The core ignores `options.give_up`, which the owner handles.
+    /// `options.on_waiting` must not call back into the core.
     Id128 checkOut(const std::vector<std::string>& names, const CheckOutOptions& options, Done done);
     Id128 checkOut(const std::vector<std::string>& names, Done done) {
         return checkOut(names, {}, std::move(done));

@@ -34,7 +34,7 @@ struct SessionCoreSettings {
     Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats of the server missed
     Duration server_silence_idle = std::chrono::seconds{10};
     std::size_t tasks_kept = 1024;  ///< finished tasks whose reports can still be asked for
-    std::size_t runs_kept = 64;     ///< likewise of runs
+    std::size_t runs_kept = 64;     ///< finished runs whose reports can still be asked for
     /// After a lost connection: how often a master that has not ended a run yet is asked what became of it.
     Duration outcome_again = std::chrono::seconds{1};
     bool resume = true;  ///< leases outlive the connection for their grace

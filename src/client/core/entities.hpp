@@ -22,8 +22,8 @@ class Position;
 
 namespace axon::client {
 
-/// The entities that the server has told of: what everybody may see of each, what people call them, and which
-/// of those that this client holds move. Part of SessionCore.
+/// The entities that the server has reported: what every client may see of each, what people call them, and
+/// which of those that this client holds are moving. Part of SessionCore.
 ///
 /// An entity is *there* for the program once its profile and its status have come, whichever was first. All
 /// are forgotten when the connection is lost, until the server tells of them again.
@@ -32,7 +32,7 @@ class Entities {
     explicit Entities(const CoreParts& parts) : parts_(parts) {}
 
     // Events.
-    /// `promised`: so many are there, and will be told of.
+    /// `promised`: how many entities there are, which the server will report.
     void onConnected(int promised);
     void onDisconnected();
     /// Presence::Joined and Changed.

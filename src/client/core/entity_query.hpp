@@ -10,7 +10,7 @@
 
 namespace axon::client {
 
-/// "2 ROBOT/MOBILE with Driving": so many entities of one kind. Empty = any.
+/// "2 ROBOT/MOBILE with Driving": a number of entities of one kind. Empty = any.
 struct QueryItem {
     std::size_t count = 1;
     std::string category;  ///< ROBOT or MACHINE

@@ -66,7 +66,7 @@ class Leases {
     // What is held.
     std::vector<Held> held() const;
     bool any() const { return !leases_.empty(); }
-    /// Null when it is not held under this lease (any more).
+    /// Null if it is not, or no longer, held under this lease.
     const Lease* find(const Held& held) const;
     /// Null when it is not held.
     const Lease* of(const std::string& entity) const;

@@ -25,7 +25,7 @@ class NameIndex {
     /// ambiguous. AMBIGUOUS_ENTITY names the candidates, UNKNOWN_ENTITY the nearest names.
     Result<std::string> resolve(std::string_view text) const;
 
-    /// Likewise, but all that an ambiguous name may mean, ready or not: for a stop.
+    /// The same, but returns all entities that an ambiguous name can mean, ready or not. For a stop.
     Result<std::vector<std::string>> resolveAll(std::string_view text) const;
 
     bool contains(const std::string& id) const { return names_.count(id) != 0; }

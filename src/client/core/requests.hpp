@@ -173,7 +173,8 @@ class Requests {
     // Ids and keys by value: callers may name them by the very key that goes away.
     void await(Id128 id, Pending pending);
     bool contains(const Key& key) const { return pending_.contains(key); }
-    /// Null when it does not wait (any more). Change its deadline by postpone(), its sequence by resend().
+    /// Null if it does not, or no longer, wait. Change its deadline with postpone(), its sequence with
+    /// resend().
     Pending* find(Key key);
     template <class One>
     Pending* find(Id128 id) {

@@ -50,7 +50,7 @@ class Runs {
     Result<Id128> run(const RunOrder& order);
     /// As of a task (Tasks::control).
     void control(const Id128& run, proto::TaskAction action, Done done);
-    /// Nothing for a run that is not known (any more).
+    /// Nothing for a run that is not, or no longer, known.
     std::optional<RunReport> report(const Id128& run) const;
     /// What the front-end server offers.
     void fetchServices(GlobalServicesDone done);

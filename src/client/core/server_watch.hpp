@@ -10,7 +10,7 @@
 namespace axon::client {
 
 /// Signs of life between a session and its server, both ways: when this client beats, and whether the server
-/// is silent. Part of SessionCore. Who is busy beats fast, and is watched over a short time.
+/// is silent. Part of SessionCore. A busy client sends heartbeats fast and is watched with a short timeout.
 class ServerWatch {
   public:
     explicit ServerWatch(const CoreParts& parts);

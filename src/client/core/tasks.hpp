@@ -39,7 +39,7 @@ class Tasks {
               Duration not_after);
     /// PAUSE is done when the task is paused, RESUME when it runs, CANCEL when it has ended.
     void control(const Id128& task, proto::TaskAction action, Done done);
-    /// Nothing for a task that is not known (any more).
+    /// Nothing for a task that is not, or no longer, known.
     std::optional<TaskReport> report(const Id128& task) const;
     bool contains(const Id128& task) const { return tasks_.contains(task); }
 
@@ -47,7 +47,7 @@ class Tasks {
     bool anyOpen() const { return open_count_ > 0; }
     std::vector<Id128> open(const Held& held) const;
     void finishAll(const Held& held, const Refusal& unknown);
-    /// Those of leases that are not held any more: nobody can ask after them.
+    /// Tasks under leases that are no longer held: nobody can ask about them.
     void finishUnheld(const Refusal& unknown);
     /// The lease was released: until they are final, or the time is up and they become Unknown.
     void awaitEnds(const Held& held);

@@ -21,7 +21,7 @@ class Watches {
     bool contains(const std::string& entity) const { return watches_.contains(entity); }
     /// Asks for what is watched of this entity.
     void send(const std::string& entity);
-    /// Likewise of all that are there.
+    /// The same for all entities that are there.
     void sendAll();
 
   private:

@@ -60,9 +60,9 @@ class DirectLinks {
     void offer(const DirectOffer& offer);
     /// The lease has ended here, and the path with it. Whether a turn is due.
     bool withdraw(const Held& held);
-    /// The entity has left: nothing of this life counts any more.
+    /// The entity has left: nothing of this life counts from now on.
     Closing leave(const std::string& entity);
-    /// There is no session with a server any more.
+    /// There is no longer a session with a server.
     Closing clear();
     /// The servers have refused the mark of the entity's path.
     Closing markRefused(const std::string& entity);
@@ -79,7 +79,7 @@ class DirectLinks {
     static void stop(const Paths& paths, const Header& head, const std::vector<std::string>& entities,
                      StopCause cause);
 
-    /// A message of an entity that came by the servers, on the data lane: whether it counts. A mark makes
+    /// Whether a message of an entity counts that came through the servers, on the data lane. A mark makes
     /// `deliver` be called for what was held back.
     bool relayed(direct::Keeping keeping, const Header& head, std::string_view message,
                  const Deliver& deliver);
@@ -113,12 +113,12 @@ class DirectLinks {
         std::string bytes;
     };
     struct Entry {
-        std::int32_t epoch =
-            0;  // of the lease: another one is another life of the Entity Manager, which counts anew
+        std::int32_t epoch = 0;  // of the lease: another epoch is another life of the Entity Manager, which
+                                 // counts from the beginning
         direct::IncomingWay<Came> in;
         direct::Unacknowledged unacknowledged;
         DirectOffer offer;
-        std::shared_ptr<DirectLink> link;  // null: not offered (any more)
+        std::shared_ptr<DirectLink> link;  // null: not offered, or no longer
         std::shared_ptr<DirectPath> path;  // being opened, or open
         bool begun = false;
         bool withdrawn = false;

@@ -20,7 +20,8 @@ struct Outgoing {
     std::shared_ptr<DirectPath> path = {};  ///< of a mark: taken when it has been sent
 };
 
-/// Which way each message of a client takes: by the servers, or by the direct path of its entity (ADR 0021).
+/// Which way each message of a client takes: through the servers, or over the direct path of its entity (ADR
+/// 0021).
 ///
 /// Where in the flow: between SessionCore and the connections; DirectLinks says which paths there are.
 /// Messages come in the order of sending. What a path has not acknowledged when it is over goes by the
@@ -37,8 +38,8 @@ class DirectSending {
 
     /// Whether a path is concerned: where not, takes() is false and does nothing.
     bool concerns(const Outgoing& message) const { return byPath(message) || leftBefore(message); }
-    /// Next of all messages. True: it has gone, or is not to go. False: it is to go by the servers, now.
-    /// Moves from `message`.
+    /// Takes the next of all messages. True: it was sent, or need not be sent. False: send it through the
+    /// servers now. Moves from `message`.
     bool takes(Outgoing& message);
     /// A path has ended: what was not acknowledged is sent.
     void fallBackFromEnded();

@@ -28,17 +28,17 @@ inline constexpr Duration kFast = std::chrono::microseconds{100};
 /// What the sending thread is left before callers send for themselves again: about thirty small messages.
 inline constexpr std::size_t kLeftToSender = 32 * 1024;
 
-/// Sends what SessionCore gives to send: in the core's order, by the direct path of an entity or by the
-/// servers, from the caller's thread, or, in a burst, from the sending thread.
+/// Sends the messages of SessionCore in the core's order, over the direct path of an entity or through the
+/// servers. It sends from the caller's thread or, in a burst, from the sending thread.
 ///
 /// Where in the flow: between SessionCore and the connections. Its owner uses the core under a lock
 /// (Departure): then the core calls the functions of ServerLink, which put messages in order. After the use
 /// collect() says, still under that lock, what is to leave, and depart() sends it without the lock.
 ///
 /// A burst: a thread that sends again within kFast, while nothing has come from the servers or an entity and
-/// nobody waits for an answer (breakBurst), leaves what is small to the sending thread. That one takes all
-/// that has come meanwhile and writes consecutive small messages as one batch. From kLeftToSender on the
-/// callers write again.
+/// nobody waits for an answer (breakBurst), leaves what is small to the sending thread. That thread takes all
+/// messages that have come until then and writes consecutive small ones as one batch. From kLeftToSender on
+/// the callers write again.
 ///
 /// Threads: the functions of the first two groups under the lock of the core; the others on any thread. One
 /// thread at a time sends, under this object's own lock, so that the core's order is the order on the wire; a

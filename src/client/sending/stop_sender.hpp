@@ -22,11 +22,12 @@ namespace axon::client {
 
 /// The stop's half of a session: StopDesk, its lock, and the place where a stop leaves (depart()).
 ///
-/// Where in the flow: between the calls that stop and the connections, beside everything that data does. What
-/// the desk gives to send while its lock is held leaves after it (Departure), by every way there is: straight
-/// to the Entity Managers that have a direct path, by the servers, and as datagrams. Threads: any. The lock
-/// is held for a turn of the desk only, never across a call of Ice or of the user, and no message of the data
-/// lane takes it; joins and leaves of entities do. Failure: what no way takes is sent again by the desk.
+/// Where in the flow: between the calls that stop and the connections, beside everything that data does. The
+/// messages that the desk sends while its lock is held leave after it (Departure), by every way there is:
+/// straight to the Entity Managers that have a direct path, through the servers, and as datagrams. Threads:
+/// any. The lock is held for a turn of the desk only, never across a call of Ice or of the user, and no
+/// message of the data lane takes it; joins and leaves of entities do. Failure: the desk repeats a stop that
+/// no way takes.
 class StopSender final : private StopLink {
   public:
     /// Sends a stop as a datagram too: of one entity, or ("") of all that are held.
@@ -43,7 +44,7 @@ class StopSender final : private StopLink {
           wake_(std::move(wake)),
           desk_(clock, *this, marks) {}
 
-    /// Runs `use` on the desk, under its lock. What that makes it send has left when this returns.
+    /// Runs `use` on the desk, under its lock. The messages that it sends have left when this returns.
     template <class Use>
     auto withDesk(Use&& use) {
         return departure_.after([&]() -> decltype(auto) { return use(desk_); });

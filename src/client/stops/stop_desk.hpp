@@ -35,7 +35,7 @@ inline constexpr Duration kStopPatience = std::chrono::seconds{1};
 /// own list of names, so that a stop never waits for anything that data does. An order is *open* from stop()
 /// until every receipt is confirmed or its deadline has passed; then `done` is called, once, with what is
 /// known. While it is open it is sent again, with the same sequence number (an EM takes it for the same
-/// stop), on the signal lane and on the data lane, at kStopFirstResend and then each kStopResendPeriod, but
+/// stop), on the signal lane and on the data lane, at kStopFirstResend and then every kStopResendPeriod, but
 /// not while answers come (kStopPatience). Losing the connection does not end an order: it is sent again when
 /// there is a new one, unless its deadline passed. Threads: none of its own, not thread-safe; the owner
 /// confines it. Failure: refusals.
@@ -54,8 +54,8 @@ class StopDesk {
     void onStopAccepted(std::int64_t sequence, const std::string& entity, int entities);
     /// A receipt of an EM; those of other people's stops raise the generation and nothing else.
     void onReceipt(const std::string& entity, const proto::StopReceipt& receipt);
-    /// newRefusalMsg: the servers know no such entity (any more). A stop whose message was OVERLOADED is
-    /// repeated.
+    /// newRefusalMsg: the servers do not, or no longer, know such an entity. A stop whose message was
+    /// OVERLOADED is repeated.
     void onRefusal(std::int64_t sequence, const std::string& entity, const Refusal& refusal);
 
     /// No names = every entity there is. In doubt it stops: an ambiguous name stops all that it may mean, and
@@ -65,8 +65,8 @@ class StopDesk {
     /// Once all are confirmed it waits, up to `standstill` after the call, for those that are to come to
     /// rest.
     void stop(const std::vector<std::string>& names, Duration deadline, Done done, Duration standstill = {});
-    /// Likewise, a drill: acknowledged and nothing else. It is sent once, so that its times are those of one
-    /// message. No names = every entity that is known.
+    /// Orders a drill in the same way: it is acknowledged and does nothing else. It is sent once, so that its
+    /// times are those of one message. No names = every entity that is known.
     void drill(const std::vector<std::string>& names, Duration deadline, Done done);
 
     /// The receipts of a reset or clear that somebody else sends, under this sequence, once and after this

@@ -5,8 +5,9 @@
 
 namespace axon {
 
-/// Why a request was refused. The same names and numbers in axon.proto.RefusalCode, Python, JavaScript and
-/// the command's JSON; refusal_test.cpp compares them. Meanings are in docs/reference/refusals.md.
+/// Why a request was refused. docs/reference/refusals.md has the meaning of each code.
+/// axon.proto.RefusalCode, Python, JavaScript and the JSON of the `axon` command use the same names and
+/// numbers; refusal_test.cpp compares them.
 enum class RefusalCode : int {
     Ok = 0,
     NotHolder = 1,
@@ -55,14 +56,16 @@ enum class RefusalCode : int {
     Internal = 72,
 };
 
-/// The token of the contracts: "NOT_HOLDER". Never empty; unknown numbers give "INTERNAL".
+/// The name of a code as it is written in the contracts: "NOT_HOLDER". Never empty; an unknown number gives
+/// "INTERNAL".
 std::string_view refusalName(RefusalCode code);
 
-/// A typed "no": what was expected and how to mend it, for a person, and the code, for a program.
+/// Why something was not done. The code is for programs. The message is for people: it says what was expected
+/// and how to fix it.
 struct Refusal {
     RefusalCode code = RefusalCode::Ok;
     std::string message;
-    std::string holder;  ///< the present holder's name, where that is the reason
+    std::string holder;  ///< name of the present holder, if the entity is refused because of it
 
     bool ok() const { return code == RefusalCode::Ok; }
 };

@@ -8,8 +8,7 @@
 
 namespace axon {
 
-/// A value, or the reason why there is none. Refusals are ordinary outcomes and never exceptions (style,
-/// "Errors").
+/// A value, or the reason why there is none. A refusal is an ordinary outcome and never thrown.
 template <class T>
 class [[nodiscard]] Result {
   public:
@@ -18,20 +17,20 @@ class [[nodiscard]] Result {
 
     bool ok() const { return state_.index() == 0; }
     explicit operator bool() const { return ok(); }
-    /// Only when ok().
+    /// Call only if ok().
     T& value() & { return std::get<0>(state_); }
     const T& value() const& { return std::get<0>(state_); }
     T&& value() && { return std::get<0>(std::move(state_)); }
     T* operator->() { return &value(); }
     const T* operator->() const { return &value(); }
-    /// Only when !ok().
+    /// Call only if !ok().
     const Refusal& refusal() const { return std::get<1>(state_); }
 
   private:
     std::variant<T, Refusal> state_;
 };
 
-/// Done, or the reason why not.
+/// Success, or the reason why something was not done.
 template <>
 class [[nodiscard]] Result<void> {
   public:

@@ -3,13 +3,13 @@
 #include <cstdint>
 #include <string>
 
-/// What servers say of clients and entities. The numbers are those of api/slice/axon/commutil.ice.
+/// What servers report about clients and entities. The numbers are those in api/slice/axon/commutil.ice.
 namespace axon {
 
 enum class Role : std::uint8_t { Observer, Operator, Admin };
 enum class Presence : std::uint8_t { Joined, Changed, Left };
 
-/// The nine states of the Entity Manager (thesis 3.3.1), by its tokens.
+/// The nine states of an Entity Manager (thesis 3.3.1), named as in the contracts.
 enum class EntityState : std::uint8_t { UNAV, INIT, ENVCONN, IDLE, REG, COLLAB, SLAVE, BUSY, ERR };
 
 /// What a client can do with an entity that is in a state.
@@ -23,10 +23,11 @@ const char* toString(EntityState state);
 Availability availability(EntityState state);
 const char* toString(Role role);
 
-/// Who sends. Filled in by the server from the session, never taken from the peer (invariant 9).
+/// Who has sent a message. The server fills it in from the session and never takes it from the peer
+/// (ARCHITECTURE.md, section 5, invariant 9).
 struct Sender {
-    std::string id;    ///< session UUID of a client, or UUID of an entity
-    std::string name;  ///< for people: user@host, or the entity's name
+    std::string id;    ///< UUID of a client's session, or UUID of an entity
+    std::string name;  ///< for people: user@host, or the name of the entity
     Role role = Role::Operator;
 
     bool operator==(const Sender&) const = default;

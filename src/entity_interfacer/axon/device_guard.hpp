@@ -13,45 +13,52 @@ namespace axon {
 
 /// Stops a device when the process that drives it freezes or dies.
 ///
-/// No stop callback is called in a process that was killed, and none in one that is frozen: what the device
-/// was told last it goes on doing. A guard is a small process of its own beside the robot application. It is
-/// given a duplicate of the descriptor of the device's connection, a TCP connection or a serial line, and the
-/// bytes that bring the device to rest. It takes no part in the traffic. It writes those bytes when the
-/// application has not called beat() for `silence`, or has ended without release().
+/// A process that was killed or is frozen calls no stop callback, and its device goes on doing what it was
+/// told last. A guard is a small process beside the robot application that closes this gap. It has a
+/// duplicate of the descriptor of the device's connection (a TCP connection or a serial line) and the bytes
+/// that bring the device to rest. It takes no part in the traffic. It writes those bytes when the application
+/// has not called beat() for `silence`, or has ended without release().
 ///
-/// Where in the flow: between the code that talks to the device and its connection. After each connect,
-/// watch(); beat() from the thread that attends to the connection, at least five times within `silence`,
-/// whatever the device says; before each order, ask stopped(); before the connection is closed, release().
-/// guardedStreams() in robots/common of the source does that for streams.
+/// Where in the flow: between the code that talks to the device and its connection.
+///   1. After each connect, call watch().
+///   2. From the thread that serves the connection, call beat() at least five times within `silence`, whether
+///      or not the device answers.
+///   3. Before each order, ask stopped().
+///   4. Before the connection is closed, call release().
+/// guardedStreams() in robots/common of the source tree does this for streams.
 ///
-/// States: idle → guarding (watch()) → idle (release()), or → stopped (the guard has stopped the device; then
-/// watch() again on a new connection).
+/// States: idle → guarding (watch()) → idle (release()). Or guarding → stopped, when the guard has stopped
+/// the device; call watch() again on a new connection.
 ///
-/// After a stop the guard repeats the bytes every 50 ms for 300 ms. Then it shuts a socket down, so that an
-/// application that wakes up cannot drive on by it; on any other descriptor it repeats them until release()
-/// or watch(). The guard watches the application, and the application the guard: beat() is false when the
-/// guard has stopped the device, and also when the guard is gone or frozen. Then the application itself stops
-/// the device, and closes the connection; release() or the next watch() logs it, and that one starts another
-/// guard.
+/// After a stop, the guard repeats the bytes every 50 ms for 300 ms. Then it shuts a socket down, so that an
+/// application that wakes up cannot drive on over it. On any other descriptor it goes on repeating the bytes
+/// until release() or watch().
 ///
-/// The guard's process is made by fork(), at construction and when it has to be replaced; construct early,
-/// while the process is small. It leaves signals of the terminal alone, has a session of its own, and ends
-/// with the application. Time is CLOCK_MONOTONIC. Time in which the guard itself got no processor counts as
-/// a quarter of `silence` at most, so that a machine that stands still stops nothing.
+/// The guard and the application watch each other. beat() returns false when the guard has stopped the
+/// device, and also when the guard is gone or frozen. The application must then stop the device itself and
+/// close the connection. The next release() or watch() logs what happened, and watch() starts another guard.
 ///
-/// Threads: any. beat() and stopped() never log and wait for nothing but the lock of watch() and release().
-/// Not copyable; the destructor waits for the guard's end, at most 0.4 s. Failure: the constructor throws
-/// std::invalid_argument for options that cannot be used; a guard that cannot be started makes watch() false.
-/// Not noticed: an application whose one thread beats on while another one hangs.
+/// The guard is made by fork(), at construction and whenever it has to be replaced. Construct it early, while
+/// the process is small. It ignores signals of the terminal, has a session of its own, and ends with the
+/// application. It measures time by CLOCK_MONOTONIC. Time in which the guard itself got no processor counts
+/// as at most a quarter of `silence`, so that a machine that stands still stops nothing.
+///
+/// Threads: any. beat() and stopped() never log, and never wait for anything but the lock that watch() and
+/// release() take. The destructor waits for the guard to end, at most 0.4 s.
+///
+/// Failure: the constructor throws std::invalid_argument for options that cannot be used. watch() returns
+/// false if no guard can be started. An application in which one thread goes on beating while another one
+/// hangs is not detected.
 class AXON_EI_API DeviceGuard {
   public:
     struct Options {
         std::string device;  ///< its name, for log lines
-        /// What brings it to rest whatever was sent before, a part of an order included; harmless when it
-        /// comes more than once. 1 to 1024 bytes.
+        /// The bytes that bring the device to rest, whatever was sent before, even a part of an order. They
+        /// must be harmless when they are sent more than once. 1 to 1024 bytes.
         std::string stop;
-        std::chrono::milliseconds silence{200};                 ///< 50 ms to 10 s
-        std::function<void(const std::string& text)> logger{};  ///< any thread; none: standard error
+        std::chrono::milliseconds silence{200};  ///< 50 ms to 10 s
+        std::function<void(const std::string& text)>
+            logger{};  ///< called on any thread; none = standard error
     };
 
     explicit DeviceGuard(Options options);
@@ -59,19 +66,20 @@ class AXON_EI_API DeviceGuard {
     DeviceGuard(const DeviceGuard&) = delete;
     DeviceGuard& operator=(const DeviceGuard&) = delete;
 
-    /// The device behind this open descriptor is guarded from now on, instead of the one before. The caller
-    /// keeps the descriptor. False, and nothing is guarded, when it is negative, or when there is no guard
-    /// and none can be started: do not drive then.
+    /// Guards the device behind this open descriptor from now on, instead of the one before. The caller keeps
+    /// the descriptor. Returns false if the descriptor is negative, or if there is no guard and none can be
+    /// started. Nothing is guarded then: do not drive.
     bool watch(int descriptor);
-    /// The application lives. False when nothing is guarded, or no longer: see above.
+    /// Tells the guard that the application is alive. Returns false if nothing is guarded, or no longer (see
+    /// above).
     bool beat();
-    /// Whether the guard has stopped the device since watch(), so that no order may be sent.
+    /// True if the guard has stopped the device since watch(). No order may be sent then.
     bool stopped() const;
-    /// The device is no longer guarded; the guard has closed its duplicate and writes nothing. Returns at
-    /// once as a rule; a guard that does not answer within `silence` is killed, since it would keep the
-    /// device's connection open.
+    /// Ends the guarding. Afterwards the guard has closed its duplicate and writes nothing. Normally returns
+    /// at once. A guard that does not answer within `silence` is killed, because it would keep the device's
+    /// connection open.
     void release();
-    /// Of the guard's process; 0 where there is none.
+    /// Process id of the guard; 0 = there is none.
     int pid() const;
 
   private:

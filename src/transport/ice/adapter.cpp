@@ -32,13 +32,12 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
     try {
         return communicator.createObjectAdapterWithEndpoints(name, endpoint);
     } catch (const Ice::SocketException& error) {
-        throw std::runtime_error(
-            name + ": cannot listen on '" + endpoint + "' (" + error.what() +
-            "); is another axon-server running, or the address not this machine's? Choose another port, "
-            "or 0 for a free one");
+        throw std::runtime_error(name + ": cannot listen on '" + endpoint + "' (" + error.what() +
+                                 "): another axon-server may be running, or this machine does not have the "
+                                 "address; fix: choose another port, or 0 for a free one");
     } catch (const Ice::Exception& error) {
-        throw std::runtime_error(name + ": '" + endpoint + "' is no endpoint to listen on (" + error.what() +
-                                 ")");
+        throw std::runtime_error(name + ": '" + endpoint + "' is not an endpoint on which to listen (" +
+                                 error.what() + ")");
     }
 }
 

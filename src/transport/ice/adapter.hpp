@@ -16,9 +16,9 @@ enum class Idle : std::uint8_t {
     Watched       ///< ConnectionLimits, which whoever listens asks to watch these endpoints
 };
 
-/// An object adapter that listens, not active yet. With `threads`, calls of one connection run beside each
-/// other on so many; without, in order, on as many as the communicator has for each adapter. Throws
-/// std::runtime_error with the mend where it cannot.
+/// An object adapter that listens and is not active yet. With `threads`, the calls of one connection run in
+/// parallel on that many threads. Without, they run in order, on as many threads as the communicator has for
+/// each adapter. Throws std::runtime_error, saying how to fix it, if it cannot listen.
 std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
                                            const std::string& endpoint, int threads = 0,
                                            Idle idle = Idle::ClosedByIce);

@@ -23,9 +23,9 @@ constexpr const char* kRouterWithoutServer = "internal server error";
 
 Refusal noServerBehind() {
     return {RefusalCode::Unavailable,
-            "the router answers, but no server behind it does; is axon-server running, with the endpoints "
-            "for routers that "
-            "the router's configuration names (Glacier2.SessionManager, Glacier2.PermissionsVerifier)?",
+            "the router answers, but no server behind it does; fix: start axon-server with the endpoints for "
+            "routers that the router's configuration names (Glacier2.SessionManager, "
+            "Glacier2.PermissionsVerifier)",
             {}};
 }
 
@@ -41,9 +41,8 @@ void requestRealTime(int priority) {
         const auto logger = spdlog::get("axon");
         (logger ? logger : spdlog::default_logger())
             ->info(
-                "signal lane: no permission for real-time scheduling, ordinary threads are used; stops are "
-                "slower under "
-                "full load (to mend: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30')");
+                "signal lane: real-time scheduling is not permitted, so ordinary threads are used and stops "
+                "are slower under full load; fix: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30'");
     }
 }
 
@@ -86,9 +85,10 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
         if (tls) checkServers(holder.communicator());
         return holder;
     } catch (const Ice::PluginInitializationException& error) {
-        throw std::runtime_error("TLS cannot be used: " + error.reason +
-                                 "; expected the files of IceSSL.CertFile, IceSSL.KeyFile and IceSSL.CAs in "
-                                 "IceSSL.DefaultDir, as axon certs issue writes them: axon certs show FILE");
+        throw std::runtime_error(
+            "TLS cannot be used: " + error.reason +
+            "; expected the files of IceSSL.CertFile, IceSSL.KeyFile and IceSSL.CAs in IceSSL.DefaultDir; "
+            "fix: make them with axon certs issue, and check them with axon certs show FILE");
     } catch (const Ice::Exception& error) {
         throw std::runtime_error(std::string("Ice does not accept its properties: ") + error.what());
     }
@@ -117,35 +117,38 @@ Refusal translate(std::exception_ptr error, bool setting_up_tls) {
         // That of a router whose verifier of passwords does not answer.
         if (denied.reason == kRouterWithoutServer) return noServerBehind();
         return {RefusalCode::PermissionDenied,
-                denied.reason.empty() ? "the router does not let this user in; is the password right?"
+                denied.reason.empty() ? "the router refuses this user; fix: check user name and password"
                                       : denied.reason,
                 {}};
     } catch (const Glacier2::CannotCreateSessionException& cannot) {
         if (cannot.reason == kRouterWithoutServer) return noServerBehind();
-        return {RefusalCode::Unavailable, "the router answers, but gives no session: " + cannot.reason, {}};
+        return {RefusalCode::Unavailable, "the router answers, but opens no session: " + cannot.reason, {}};
     } catch (const Glacier2::SessionNotExistException&) {
-        return {RefusalCode::NotConnected, "the session has ended; connect again", {}};
+        return {RefusalCode::NotConnected, "the session has ended; fix: connect again", {}};
     } catch (const Ice::TimeoutException&) {
-        return {
-            RefusalCode::TimedOut, "the other side did not answer in time; is it overloaded or stopped?", {}};
+        return {RefusalCode::TimedOut,
+                "the other side did not answer in time; it may be overloaded or stopped",
+                {}};
     } catch (const Ice::MemoryLimitException&) {
         return {RefusalCode::TooLarge,
                 "the message is larger than " + std::to_string(kMessageSizeMaxKib) +
-                    " KiB (on a signal lane " + std::to_string(kSignalSizeMaxKib) + "); send it in chunks",
+                    " KiB (on a signal lane " + std::to_string(kSignalSizeMaxKib) +
+                    "); fix: send it in chunks",
                 {}};
     } catch (const Ice::ConnectFailedException&) {
         return {RefusalCode::NotConnected,
-                "nothing listens there; is it running (axon-server, or the router), and is the port right?",
+                "nothing listens there; fix: start axon-server (or the router), or correct the port",
                 {}};
     } catch (const Ice::DNSException& unknown) {
-        return {
-            RefusalCode::NotConnected, "the host " + unknown.host + " is not known; check the address", {}};
+        return {RefusalCode::NotConnected,
+                "the host " + unknown.host + " is not known; fix: correct the address",
+                {}};
     } catch (const Ice::ObjectNotExistException&) {
-        return {RefusalCode::NotConnected, "the session has ended; connect again", {}};
+        return {RefusalCode::NotConnected, "the session has ended; fix: connect again", {}};
     } catch (const Ice::ConnectionManuallyClosedException&) {
         return {RefusalCode::NotConnected, "the connection was closed", {}};
     } catch (const Ice::SocketException&) {
-        return {RefusalCode::NotConnected, "the connection was lost; connect again", {}};
+        return {RefusalCode::NotConnected, "the connection was lost; fix: connect again", {}};
     } catch (const Ice::CloseConnectionException&) {
         return {RefusalCode::NotConnected, "the other side closed the connection", {}};
     } catch (const Ice::ProtocolException& protocol) {

@@ -53,7 +53,7 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings);
 Refusal translate(std::exception_ptr error, bool setting_up_tls = false);
 
 /// "tcp -h 127.0.0.1 -p 10410" of "127.0.0.1:10410", "ssl -h …" of "ssl://…". Throws std::invalid_argument
-/// with the mend.
+/// that says how to fix it.
 std::string tcpEndpoint(const std::string& host_and_port);
 
 /// Whether the proxy calls its peer back: over the connection of `current` (it has no endpoints), or at the

@@ -21,7 +21,7 @@ struct ConnectionBounds {
     /// Of a session's connection, which its peer keeps alive by Ice's heartbeats.
     Duration silence = std::chrono::seconds{60};
 
-    /// No more than a quarter of so many descriptors, so that the rest is left to sessions.
+    /// Bounds of at most a quarter of this many descriptors, so that the rest is left to sessions.
     ConnectionBounds fittingInto(std::size_t descriptors) const;
 };
 
@@ -52,8 +52,8 @@ class ConnectionLimitsCore {
 
     explicit ConnectionLimitsCore(ConnectionBounds bounds) : bounds_(bounds) {}
 
-    /// `connections`: all that there are. What is closed may be among them for some more calls, and is not
-    /// reported again.
+    /// `connections`: all connections. One that was closed may still be among them in the next calls; it is
+    /// not reported again.
     Verdict look(const std::vector<Seen>& connections, TimePoint now);
 
   private:

@@ -42,21 +42,21 @@ std::optional<Refusal> otherContract(const Ice::Context& of_peer) {
     if (found == of_peer.end())
         return Refusal{RefusalCode::NotSupported,
                        ours +
-                           ", and the program that opens the session names none: upgrade that program, or "
-                           "let it send the "
-                           "request context axon-contract (CommUtil.ContractNumber)",
+                           ", and the program that opens the session names none; fix: upgrade that program, "
+                           "or let it send the request context axon-contract (CommUtil.ContractNumber)",
                        {}};
     const auto& text = found->second;
     const auto theirs = numberIn(text);
     if (!theirs)
-        return Refusal{RefusalCode::Malformed,
-                       ours + ", and the program that opens the session says '" + text.substr(0, 16) +
-                           "': expected a number in the request context axon-contract",
-                       {}};
+        return Refusal{
+            RefusalCode::Malformed,
+            ours + ", and the program that opens the session says '" + text.substr(0, 16) +
+                "'; expected a number in the request context axon-contract (CommUtil.ContractNumber)",
+            {}};
     if (*theirs == kOurs) return std::nullopt;
     return Refusal{RefusalCode::NotSupported,
                    ours + ", the program that opens the session has contract " + std::to_string(*theirs) +
-                       ": upgrade " + (*theirs < kOurs ? "that program" : "the server"),
+                       "; fix: upgrade " + (*theirs < kOurs ? "that program" : "the server"),
                    {}};
 }
 

@@ -26,12 +26,12 @@ TEST(Contract, AnotherIsRefusedWithBothNumbersAndWhatToUpgrade) {
     ASSERT_TRUE(older);
     EXPECT_EQ(older->code, RefusalCode::NotSupported);
     EXPECT_THAT(older->message, HasSubstr("contract " + std::to_string(kOurs) + ","));
-    EXPECT_THAT(older->message, HasSubstr("contract " + std::to_string(kOurs - 1) + ":"));
+    EXPECT_THAT(older->message, HasSubstr("contract " + std::to_string(kOurs - 1) + "; fix:"));
     EXPECT_THAT(older->message, EndsWith("upgrade that program"));
     const auto newer = withNumber(std::to_string(kOurs + 1));
     ASSERT_TRUE(newer);
     EXPECT_EQ(newer->code, RefusalCode::NotSupported);
-    EXPECT_THAT(newer->message, HasSubstr("contract " + std::to_string(kOurs + 1) + ":"));
+    EXPECT_THAT(newer->message, HasSubstr("contract " + std::to_string(kOurs + 1) + "; fix:"));
     EXPECT_THAT(newer->message, EndsWith("upgrade the server"));
 }
 
@@ -39,7 +39,7 @@ TEST(Contract, NoneAndNonsenseAreRefused) {
     const auto none = otherContract({});
     ASSERT_TRUE(none);
     EXPECT_EQ(none->code, RefusalCode::NotSupported);
-    EXPECT_THAT(none->message, HasSubstr("names none: upgrade that program"));
+    EXPECT_THAT(none->message, HasSubstr("names none; fix: upgrade that program"));
     for (const std::string text : {"", "one", "1 ", "0x1", "99999999999999"}) {
         const auto refused = withNumber(text);
         ASSERT_TRUE(refused) << text;

@@ -32,10 +32,11 @@ inline constexpr std::string_view kImproperHead =
 /// The bytes of the head's strings.
 std::size_t stringBytes(const Header& head);
 bool isProper(const Header& head);
-/// Of a head that is not proper: cuts its strings. What was cut names no entity.
+/// Cuts the strings of a head that is not proper. A string that was cut names no entity.
 void cutStrings(Header& head);
 
-/// A number that a peer sent as a double, which may be anything: what is no whole number below 2^53 is 0.
+/// A number that a peer sent as a double, which may be anything. Returns 0 unless it is a whole number below
+/// 2^53.
 std::int64_t whole(double value);
 
 Sender fromIce(ice::Sender&& sender);
@@ -50,8 +51,8 @@ ice::Registration toIce(const Registration& registration);
 ice::EntityStatus toIce(const EntityStatus& status);
 ice::ServerAnnouncement toIce(const ServerAnnouncement& server);
 
-// The enumerators have the same numbers (convert_test.cpp). What a peer sends has been checked by Ice against
-// the enumeration's range already.
+// The enumerators have the same numbers (convert_test.cpp). Ice has already checked the value that a
+// peer sends against the range of the enumeration.
 inline StopCause fromIce(ice::StopCause cause) {
     return static_cast<StopCause>(cause);
 }

@@ -18,10 +18,11 @@ struct Endpoint {
     std::string address() const;
 };
 
-/// One of either form. Throws std::invalid_argument with the mend.
+/// Reads an endpoint of either form. Throws std::invalid_argument that says how to fix it.
 Endpoint parseEndpoint(const std::string& text);
 
-/// One of either form, or several in Ice's with ':' between them. Throws std::invalid_argument with the mend.
+/// Reads an endpoint of either form, or several in Ice's form with ':' between them. Throws
+/// std::invalid_argument that says how to fix it.
 std::vector<Endpoint> parseEndpoints(const std::string& text);
 
 /// All of them in Ice's form.

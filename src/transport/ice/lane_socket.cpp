@@ -63,9 +63,8 @@ void sayOnce(const std::vector<std::string>& missing) {
     const auto logger = spdlog::get("axon");
     (logger ? logger : spdlog::default_logger())
         ->info(
-            "signal lane: this kernel does not take {}; stops are slower where packets are lost (Linux 6.18 "
-            "has all of "
-            "them)",
+            "signal lane: this kernel does not have {}, so stops are slower where packets are lost; fix: "
+            "Linux 6.18 has all of them",
             names);
 }
 

@@ -10,7 +10,7 @@ namespace axon::transport {
 
 std::map<std::string, std::string> readProperties(const std::filesystem::path& file) {
     if (!std::filesystem::is_regular_file(file) || !std::ifstream(file))
-        throw std::runtime_error(file.string() + ": cannot be read; expected a file of lines KEY=VALUE");
+        throw std::runtime_error(file.string() + ": cannot be read; expected a file with lines KEY=VALUE");
     const auto properties = Ice::createProperties();
     try {
         properties->load(file.string());

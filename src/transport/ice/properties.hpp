@@ -6,8 +6,8 @@
 
 namespace axon::transport {
 
-/// A file in Ice property syntax: lines KEY=VALUE, `#` begins a comment. Throws std::runtime_error with the
-/// mend.
+/// Reads a file in Ice property syntax: lines KEY=VALUE, `#` begins a comment. Throws std::runtime_error that
+/// says what was expected.
 std::map<std::string, std::string> readProperties(const std::filesystem::path& file);
 
 }  // namespace axon::transport

@@ -51,11 +51,11 @@ struct Reason {
     const char* means;
 };
 constexpr Reason kReasons[] = {
-    {"expired", "the certificate has expired: axon certs issue … --force makes a new one"},
-    {"not yet valid", "the certificate is not yet valid: compare the clocks of the two machines"},
+    {"expired", "the certificate has expired (axon certs issue … --force makes a new one)"},
+    {"not yet valid", "the certificate is not yet valid (compare the clocks of the two machines)"},
     {"ostname mismatch", "the certificate is for other names"},
     {"P address mismatch", "the certificate is for other addresses"},
-    {"peer did not return a certificate", "no certificate was shown: axon certs issue makes one"},
+    {"peer did not return a certificate", "no certificate was shown (axon certs issue makes one)"},
     {"unsupported certificate purpose", "the certificate is of another kind"},
     {"unsuitable certificate purpose", "the certificate is of another kind"},
     {"self signed", "the certificate is of another CA"},
@@ -69,7 +69,7 @@ constexpr Reason kReasons[] = {
 
 /// IceSSL 3.7.8 loses what OpenSSL says of a handshake in which no certificate came.
 constexpr const char* kWithoutReason =
-    "no certificate was shown (axon certs issue makes one), or what came is not TLS 1.3";
+    "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3";
 
 const char* meaningOf(const std::string& said) {
     for (const auto& reason : kReasons)
@@ -166,8 +166,8 @@ void checkServers(const std::shared_ptr<Ice::Communicator>& communicator) {
         const auto its = contentOf(*info);
         if (its && (its->unit == "server" || its->unit == "router")) return true;
         log()->warn(
-            "TLS: who was called shows the certificate of the {} '{}'; expected one of a server: it is not "
-            "the server, or has the wrong certificate",
+            "TLS: the called machine shows the certificate of the {} '{}'; expected one of a server: it is "
+            "not the server, or has the wrong certificate",
             its ? its->unit : std::string("unknown"), its ? its->name : std::string());
         return false;
     });
@@ -180,7 +180,7 @@ std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_
                        std::string("the server's certificate is not accepted: ") +
                            (means != nullptr ? means : onOneLine(said).c_str()) +
                            "; expected one of the laboratory's CA (IceSSL.CAs) for the name or address that "
-                           "was called: axon certs issue --server NAME ADDRESS",
+                           "was called; fix: axon certs issue --server NAME ADDRESS",
                        {}};
     };
     try {
@@ -194,29 +194,28 @@ std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_
         // IceSSL 3.7.8 loses what OpenSSL says of it.
         if (protocol.reason.find("new outgoing connection") != std::string::npos)
             return Refusal{RefusalCode::NotConnected,
-                           "TLS could not be set up: most likely the server does not speak TLS at that port "
-                           "(leave ssl:// out, or name another port); otherwise its log says why",
+                           "TLS could not be set up: most likely the server does not speak TLS on that port; "
+                           "fix: leave ssl:// out, or name another port; otherwise see the server's log",
                            {}};
         if (!setting_up)
-            return Refusal{RefusalCode::NotConnected, "the connection by TLS was lost; connect again", {}};
+            return Refusal{RefusalCode::NotConnected, "the TLS connection was lost; fix: connect again", {}};
     } catch (const Ice::ConnectionLostException&) {
         if (!setting_up) return std::nullopt;
     } catch (...) {
         return std::nullopt;
     }
-    return Refusal{
-        RefusalCode::PermissionDenied,
-        "the server closed the connection as it was being set up; most likely it does not accept the "
-        "certificate that was shown (IceSSL.CertFile: of another CA, or expired; axon certs show). "
-        "Its log says why",
-        {}};
+    return Refusal{RefusalCode::PermissionDenied,
+                   "the server closed the connection while it was being set up: most likely it does not "
+                   "accept the certificate shown (IceSSL.CertFile: of another CA, or expired); fix: check it "
+                   "with axon certs show, and see the server's log",
+                   {}};
 }
 
 std::string certificateMissing(const std::string& address, const std::string& kind) {
     return "'" + address +
-           "' is TLS, and no certificate is configured (IceSSL.CertFile): axon certs init, then axon "
-           "certs issue --" +
-           kind + " NAME; it writes a configuration file for --config";
+           "' is a TLS endpoint, but no certificate is configured (IceSSL.CertFile); fix: axon certs init, "
+           "then axon certs issue --" +
+           kind + " NAME, which writes a configuration file for --config";
 }
 
 }  // namespace axon::transport

@@ -28,8 +28,9 @@ bool UnreadableCalls::dispatch(Ice::Request& request) {
 
 void UnreadableCalls::note(const std::string& operation, const std::string& why) {
     if (count_++ == 0)
-        spdlog::warn("{}: a call of '{}' cannot be read ({}): was its program made from other contracts?",
-                     peer_, operation.substr(0, 64), why);
+        spdlog::warn(
+            "{}: a call of '{}' cannot be read ({}); its program may have been built from other contracts",
+            peer_, operation.substr(0, 64), why);
 }
 
 }  // namespace axon::transport

@@ -169,7 +169,7 @@ class OutboxCore {
         return item;
     }
 
-    /// Nothing is sent any more; what waits is forgotten.
+    /// Drops everything that waits. Nothing is sent afterwards.
     void close() {
         closed_ = true;
         queue_.clear();

@@ -4,8 +4,8 @@
 
 namespace axon::transport {
 
-/// Makes the program's log lines go to standard error without anybody waiting for it: whoever logs puts the
-/// line into a queue of 4096, and a thread of its own writes. Signal threads and timers log, too, and a
+/// Sends the program's log lines to standard error without making anybody wait: a logging thread puts the
+/// line into a queue of 4096, and a thread of its own writes it. Signal threads and timers log, too, and a
 /// terminal that is stopped or a pipe that nobody reads must not hold up a stop. While the queue is full the
 /// oldest lines are lost.
 ///

@@ -35,8 +35,9 @@ void lockMemory() {
     const bool may = mayLockAll();
     if (may && ::mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0) return;
     spdlog::info(
-        "memory is not locked ({}); a stop may wait for a page on a disk when memory is short (to mend: "
-        "LimitMEMLOCK=infinity in the systemd unit, or 'ulimit -l unlimited'; to be silent: LockMemory=0)",
+        "memory is not locked ({}): when memory is short, a stop may have to wait for a page from the disk; "
+        "fix: LimitMEMLOCK=infinity in the systemd unit, or 'ulimit -l unlimited'; LockMemory=0 silences "
+        "this line",
         may ? std::strerror(errno) : "there is a limit on locked memory");
 }
 

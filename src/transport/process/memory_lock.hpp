@@ -3,10 +3,10 @@
 
 namespace axon::transport {
 
-/// Keeps what the process has touched, now and later, in memory, so that no stop waits for a disk. Only where
-/// the process may lock without a limit: with one, allocating would fail when it is reached. Where not, that
-/// is logged, once, with the mend. What is freed, up to 64 MiB, is kept in any case. For the mains of
-/// daemons, after logging has begun and before there are threads.
+/// Keeps all memory that the process touches, now and later, in RAM, so that no stop waits for a disk. Works
+/// only if the process may lock memory without a limit, because allocating would fail at a limit. Otherwise
+/// this is logged once, with how to fix it. Up to 64 MiB of freed memory is kept in both cases. Call it in
+/// main() of a daemon, after logging has begun and before there are threads.
 void lockMemory();
 
 }  // namespace axon::transport

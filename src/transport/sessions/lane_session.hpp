@@ -137,8 +137,8 @@ class LaneSession {
     std::atomic<bool> ready_{false};
 };
 
-/// As long as what is returned lives, who has no session of this lane cannot keep connections to its adapter.
-/// `routers`: those whose sessions come by it as well; null where there are none.
+/// While the returned object lives, a peer without a session of this lane cannot keep connections to its
+/// adapter. `routers`: the routers whose sessions also come through it; null = none.
 template <class Core, class Servant>
 [[nodiscard]] std::shared_ptr<void> watch(ConnectionLimits& limits, const Ice::ObjectAdapter& adapter,
                                           SessionLane<Core, Servant>& lane,

@@ -29,9 +29,10 @@ struct RoutedLogin {
     int timeout_ms = 5000;     ///< of each call
 };
 
-/// Asks a router for a session: of the user, or, where none is named and the router is reached by TLS, of
-/// whom our certificate names. Exactly one of the two is called, on a thread of the communicator's client
-/// pool, or of the caller. What was opened before a failure is closed. translate() makes a refusal of it.
+/// Asks a router for a session of the user. If none is named and the router is reached over TLS, the session
+/// is that of the user whom our certificate names. Exactly one of `opened` and `failed` is called, on a
+/// thread of the communicator's client pool or on the caller's. A connection that was opened before a failure
+/// is closed. translate() turns the exception into a refusal.
 ///
 /// Afterwards the connection sends the signs of life that the router wants, without which it ends the
 /// session.
@@ -47,10 +48,10 @@ bool isRouter(const std::string& server);
 /// without a choice stays as it is.
 std::string wayToRouter(const std::string& router, bool has_certificate);
 
-/// Whether such a one is reached by TLS.
+/// Whether such a router is reached over TLS.
 bool isTlsRouter(const std::string& router);
 
-/// Its proxy. Throws std::invalid_argument with the mend for a text that is none.
+/// The proxy of a router. Throws std::invalid_argument, saying how to fix it, for a text that is not a proxy.
 std::shared_ptr<Ice::ObjectPrx> routerProxy(const Ice::Communicator& communicator, const std::string& text);
 
 }  // namespace axon::transport

@@ -19,8 +19,8 @@
 // whose threads wait for passwords and for neighbours.
 namespace axon::transport {
 
-/// Request context of Glacier2::Router::createSession, which the router passes on. What it adds itself
-/// (_con.…) a client can put there too, so nothing is believed.
+/// Request context of Glacier2::Router::createSession, which the router passes on. A client can write
+/// the entries that the router adds (_con.…) as well, so none of them is trusted.
 inline constexpr const char* kContextName = "axon-name";  ///< what a client calls itself: client1@host
 inline constexpr const char* kContextToken =
     "axon-token";  ///< this session is the signal lane of the one with it
@@ -125,7 +125,8 @@ RouterDoor makeDoor(ItsLane& data, const std::shared_ptr<Ice::ObjectAdapter>& da
 std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
                                                      const std::string& endpoint, RouterDoor& door);
 
-/// By name, of the stringified proxies of a configuration. Throws std::runtime_error with the mend.
+/// The proxies of a configuration, by name. Throws std::runtime_error, saying how to fix it, for a text that
+/// is not a proxy.
 std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighboursOf(
     const Ice::Communicator& communicator, const std::map<std::string, std::string>& proxies);
 

@@ -49,8 +49,8 @@ class StormTopics::Search {
         if (!manager || manager->ice_getEndpoints().empty()) {
             throw std::runtime_error(
                 "Server.TopicManager: '" + settings_.manager +
-                "' is no proxy with an address; expected IceStorm/TopicManager:tcp -h HOST -p PORT, as "
-                "icebox has it in IceStorm.TopicManager.Endpoints");
+                "' is not a proxy with an address; expected IceStorm/TopicManager:tcp -h HOST -p PORT, with "
+                "the endpoint of icebox's IceStorm.TopicManager.Endpoints");
         }
         manager_ = patient(Ice::uncheckedCast<IceStorm::TopicManagerPrx>(manager));
         subscriber_ = communicator_->stringToProxy(settings_.subscriber);
@@ -72,7 +72,7 @@ class StormTopics::Search {
             if (!stands()) {
                 auto publishers = join();
                 said_ = false;
-                note_("IceStorm is found, the topics to the other servers stand");
+                note_("IceStorm was found; the topics to the other servers are ready");
                 changed_(publishers);
             }
             lookForOthers();
@@ -84,7 +84,7 @@ class StormTopics::Search {
             if (!std::exchange(said_, true)) {
                 note_("IceStorm is out of reach (" + settings_.manager + ": " +
                       translate(std::current_exception()).message +
-                      "): only signals reach the other servers; is icebox running?");
+                      "): only signals reach the other servers; fix: start icebox");
             }
             return clock_.now() + kTryAgain;
         }
@@ -117,8 +117,8 @@ class StormTopics::Search {
                 note_("there are subscriptions of servers of contract " + std::to_string(*contract) +
                       " at this IceStorm; this server has contract " +
                       contractContext().at(kContextContract) +
-                      ", and it and they do not see each other: upgrade those of the smaller number, or "
-                      "start icebox again, if they run no more");
+                      ", so they and this server do not see each other; fix: upgrade the servers with the "
+                      "smaller number, or restart icebox if they no longer run");
             }
         } catch (const Ice::Exception&) {
         }

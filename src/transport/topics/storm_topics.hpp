@@ -25,13 +25,13 @@ struct StormSettings {
     std::vector<std::string> publish_to;
 };
 
-/// This server's part in topics of IceStorm, kept whole: once a second it looks whether its subscription is
-/// still there, and makes topics and subscription anew where it is not. IceStorm may come later than the
-/// server, be killed and be started again; what was published meanwhile is lost, which `changed` is there
-/// for.
+/// Keeps this server's topics and its subscription in IceStorm: looks once a second whether the subscription
+/// is still there, and makes topics and subscription again if not. IceStorm may start after the server, be
+/// killed and be started again. Messages that are published while it is away are lost; `changed` reports
+/// that.
 ///
-/// Each ten seconds it looks for servers of other editions of the contracts at the same IceStorm; `note`
-/// tells of each edition once.
+/// Every ten seconds it looks for servers of other editions of the contracts at the same IceStorm; `note` is
+/// called once for each edition.
 ///
 /// The subscription is ordered and for ever: one message at a time, and no message that fails ends it.
 /// States: searching ─ changed(publishers) ► found ─ a look failed: changed({}) ► searching. Threads: one of

@@ -80,24 +80,24 @@ class TopicPublisher {
         }
     }
 
-    /// By the topic. Arguments, and false, as of CallbackSender::send.
+    /// Over the topic. Arguments and result are those of CallbackSender::send.
     template <class... Arguments>
     bool data(Arguments&&... arguments) const {
-        const auto routes = data_.load();  // held, for another may be stored meanwhile
+        const auto routes = data_.load();  // held, because another thread may store a new one
         bool taken = true;
         for (const auto& route : *routes) taken = route.sender->send(arguments...) && taken;
         return taken;
     }
-    /// To each neighbour, then by the topic.
+    /// To each neighbour, then over the topic.
     template <class... Arguments>
     void signal(Arguments&&... arguments) const {
         neighbours(arguments...);
-        const auto routes = signal_.load();  // held, for another may be stored meanwhile
+        const auto routes = signal_.load();  // held, because another thread may store a new one
         for (const auto& route : *routes) route.sender->send(arguments...);
     }
     template <class... Arguments>
     void neighbours(Arguments&&... arguments) const {
-        const auto routes = direct_.load();  // held, for another may be stored meanwhile
+        const auto routes = direct_.load();  // held, because another thread may store a new one
         for (const auto& route : *routes) route.sender->send(arguments...);
     }
 
@@ -149,7 +149,7 @@ class TopicPublisher {
                                                       OutboxLimits limits) const {
         return std::make_shared<const CallbackSender<Prx>>(
             proxy, limits, Until::Written, [who = who_](bool, const std::string& why) {
-                spdlog::warn("{}: what it publishes is not taken: {}", who, why);
+                spdlog::warn("{}: messages cannot be published: {}", who, why);
             });
     }
     Routes routes(Ice::Communicator& communicator, const Places& places, const std::string& connection,
@@ -169,7 +169,8 @@ class TopicPublisher {
                                  ->ice_connectionId(connection);
                 routes.push_back({place, proxy, sender(proxy, limits)});
             } catch (const Ice::Exception& error) {
-                spdlog::warn("{}: '{}' is no proxy to publish to ({})", who_, place.proxy, error.ice_id());
+                spdlog::warn("{}: '{}' is not a proxy to which messages can be published ({})", who_,
+                             place.proxy, error.ice_id());
             }
         }
         return routes;
@@ -185,8 +186,8 @@ class TopicPublisher {
     Snapshot<Routes> direct_data_;
 };
 
-/// Follows one control message to the network. Where it ends without having been written, `lost` is called:
-/// while the topic is down, when its connection fails, and when it still waited then. Copies of its
+/// Follows one control message to the network. Calls `lost` if the message is not written: while the topic is
+/// down, or when its connection fails before it was sent. Copies of its
 /// shared_ptr travel in the message's call.
 class PublicationTicket {
   public:
