@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace axon::transport {
@@ -18,7 +19,7 @@ class FakePrx {
     std::function<void()> messageAsync(const ice::Header& head, const ByteRange& bytes, Answered answered,
                                        Failed, Sent, const Ice::Context&) {
         calls.push_back("message " + head.entity + " " + std::string(toView(bytes)));
-        answered();
+        std::exchange(answered, nullptr)();
         return {};
     }
     template <class = void>
@@ -34,7 +35,7 @@ class FakePrx {
     std::function<void()> signalAsync(const ice::Header& head, Answered, Failed failed, Sent,
                                       const Ice::Context&) {
         calls.push_back("signal " + head.entity);
-        failed(nullptr);
+        std::exchange(failed, nullptr)(nullptr);
         return {};
     }
     std::function<void()> refusalAsync(const ice::Header& head, int code, const std::string& reason, Answered,
@@ -49,7 +50,7 @@ class FakePrx {
     }
     std::function<void()> beatAsync(double number, Answered, Failed, Sent sent, const Ice::Context&) {
         calls.push_back("beat " + std::to_string(static_cast<int>(number)));
-        sent(true);
+        std::exchange(sent, nullptr)(true);
         return {};
     }
 
