@@ -56,7 +56,7 @@ struct EntityServerSettings {
 class EntityServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).
-    EntityServer(EntityServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
+    EntityServer(const EntityServerSettings& settings, const std::shared_ptr<Ice::Communicator>& data,
                  const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
                  EntityServerCore::Note note);
     ~EntityServer();
@@ -78,8 +78,8 @@ class EntityServer {
     EntityServerCore& core();
 
   private:
-    class Rim;
-    std::unique_ptr<Rim> rim_;
+    struct Parts;
+    std::unique_ptr<Parts> parts_;
 };
 
 }  // namespace axon::entity_server

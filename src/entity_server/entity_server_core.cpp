@@ -223,12 +223,19 @@ EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Cloc
       note_(std::move(note)),
       wake_(std::move(wake)),
       pending_(std::move(pending)),
-      instance_(Id128::random(random).toString().substr(0, 8)),
+      others_(settings.name, random, note_, [this](Lane lane) { announce(lane); }),
+      front_ends_(others_.add({.name = "front-end server",
+                               .timeouts = settings.front_ends,
+                               .reach = [this](const auto& servers) { topic_.reach(servers); },
+                               .lost = [this](const auto& names) { frontEndsLost(names); }})),
+      entity_servers_(others_.add({.name = "entity server",
+                                   .timeouts = settings.entity_servers,
+                                   .reach = [this](const auto& servers) { topic_.reachPeers(servers); },
+                                   .lost = [this](const auto& names) { entityServersLost(names); },
+                                   .waits_for_announcement = true})),
       drill_(settings.drill_period > Duration{} ? "drill-" + Id128::random(random).toString() + "-"
                                                 : std::string()),
-      slow_lines_(kLinesPerSecond),
-      front_ends_(settings.front_ends),
-      entity_servers_(settings.entity_servers) {}
+      slow_lines_(kLinesPerSecond) {}
 
 EntityServerCore::~EntityServerCore() = default;
 
@@ -329,7 +336,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         session->fed = now;
         if (!session->registered) {
             session->registered = true;
-            entities_changed_ = true;
+            others_.announceSoon();
             registered_.emplace(session->entity, session);
             table_.put(session->entity, session);
             session->next_heartbeat = session->beatInTurn(now);
@@ -500,7 +507,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
         tokens_.erase(session->token);
         if (session->registered) {
             countBusy(session->record->status, {}, clock_.now());
-            entities_changed_ = true;
+            others_.announceSoon();
             registered_.erase(session->entity);
             table_.erase(session->entity);
         }
@@ -587,10 +594,6 @@ void EntityServerCore::topicFound() {
     publishAllAgain();
 }
 
-ServerAnnouncement EntityServerCore::announcement() const {
-    return {settings_.name, instance_, {}, 0};
-}
-
 // No lock that a message could hold: this is the signal lane, too.
 void EntityServerCore::frontEndServerUpdate(Lane lane, const ServerAnnouncement& server) {
     if (!alone() && front_ends_.heard(lane, server, clock_.now())) wake_();
@@ -633,13 +636,8 @@ void EntityServerCore::countBusy(const EntityStatus& before, const EntityStatus&
     };
     const auto was = keeps(before);
     const auto is = keeps(now);
-    if (was == is) return;
-    if (!is.empty() && busy_of_[is]++ == 0) front_ends_.setBusy(is, true, at);
-    if (const auto found = busy_of_.find(was); found != busy_of_.end() && --found->second == 0) {
-        busy_of_.erase(found);
-        front_ends_.setBusy(was, false, at);
-    }
-    if (!is.empty()) wake_();
+    front_ends_.moveTask(was, is, at);
+    if (was != is && !is.empty()) wake_();
 }
 
 /// What the front-end server would have said, had it lost its client. The clock makes the number new.
@@ -653,13 +651,22 @@ void EntityServerCore::loseClient(EntityOutbox& signal, const EntityStatus& stat
     signal.newClientUpdate(head, ClientChange::Lost);
 }
 
-TimePoint EntityServerCore::onNeighboursTimer() {
-    constexpr std::chrono::milliseconds kBeat{50};
-    constexpr std::chrono::seconds kAnnounce{1};
-    const auto now = clock_.now();
-    auto news = front_ends_.news(now);
+void EntityServerCore::announce(Lane lane) {
+    if (lane == Lane::Signal) {
+        topic_.entityServerUpdate(lane, others_.self());
+        topic_.peersUpdate(lane, others_.self(), {});
+        return;
+    }
+    {
+        const std::lock_guard lock(mutex_);
+        announcement_due_ = true;  // says how much has been published, so it comes after that
+    }
+    pending_();
+}
+
+void EntityServerCore::frontEndsLost(const std::vector<std::string>& names) {
     std::vector<std::pair<SessionRef, EntityStatus>> left_behind;
-    if (!news.lost.empty()) {
+    {
         const std::lock_guard lock(mutex_);
         for (const auto& [entity, session] : registered_) {
             const auto& status = session->record->status;
@@ -671,35 +678,18 @@ TimePoint EntityServerCore::onNeighboursTimer() {
     std::stable_partition(left_behind.begin(), left_behind.end(),
                           [](const auto& one) { return one.second.state == EntityState::BUSY; });
     for (const auto& [session, status] : left_behind) loseClient(*session->signal, status);
-    if (news.reachable) topic_.reach(*news.reachable);
-    auto peers = entity_servers_.news(now);
-    if (peers.reachable) topic_.reachPeers(*peers.reachable);
-    for (const auto& name : peers.lost) learn(name, {});
-    bool say = !peers.arrived.empty();
-    // Whoever is new hears of it at once: its watchdog is short only from then on.
-    if (now >= next_beat_ || news.reachable || peers.reachable) {
-        next_beat_ = now + kBeat;
-        topic_.entityServerUpdate(Lane::Signal, announcement());
-        topic_.peersUpdate(Lane::Signal, announcement(), {});
-        say = say || entities_changed_.exchange(false);
-    }
-    if (now >= next_announcement_ || say) {
-        next_announcement_ = now + kAnnounce;
-        {
-            const std::lock_guard lock(mutex_);
-            announcement_due_ = true;
-        }
-        pending_();
-    }
-    for (const auto& name : news.lost) {
+    for (const auto& name : names) {
         note_("front-end server " + name + " is gone; its clients held " +
               std::to_string(left_behind.size()) + (left_behind.size() == 1 ? " entity" : " entities") +
               " here");
     }
-    for (const auto& name : news.arrived) note_("front-end server " + name + " is there");
-    for (const auto& name : peers.lost) note_("entity server " + name + " is gone");
-    for (const auto& name : peers.arrived) note_("entity server " + name + " is there");
-    return std::min({news.next, peers.next, next_beat_, next_announcement_});
+}
+
+void EntityServerCore::entityServersLost(const std::vector<std::string>& names) {
+    for (const auto& name : names) {
+        learn(name, {});
+        note_("entity server " + name + " is gone");
+    }
 }
 
 /// `send` returns whether the outbox took it. All that take it first: no entity's stop waits for others'
@@ -815,7 +805,7 @@ TimePoint EntityServerCore::onTimer() {
                   std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count()) +
                   " ms");
     }
-    if (!alone()) next = std::min(next, onNeighboursTimer());
+    next = std::min(next, others_.onTimer(clock_.now()));
     for (const auto& warning : warnings) note_(warning);
     return drill_.empty() ? next : std::min(next, onDrillTimer());
 }
@@ -1064,7 +1054,7 @@ bool EntityServerCore::publishSummary() {
     if (entities) {
         topic_.entityServerEntities(settings_.name, *entities);
     } else {
-        auto self = announcement();
+        auto self = others_.self();
         self.published = publications_;
         topic_.entityServerUpdate(Lane::Data, self);
         topic_.peersUpdate(Lane::Data, self, here);

@@ -13,7 +13,7 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
-#include "common/neighbours.hpp"
+#include "common/other_servers.hpp"
 #include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
@@ -193,10 +193,11 @@ class EntityServerCore {
     bool alone() const { return settings_.name.empty(); }
     void publishAllAgain();
     bool publishSummary();
-    ServerAnnouncement announcement() const;
+    void announce(Lane lane);
+    void frontEndsLost(const std::vector<std::string>& names);
+    void entityServersLost(const std::vector<std::string>& names);
     void countBusy(const EntityStatus& before, const EntityStatus& now, TimePoint at);
     void loseClient(EntityOutbox& signal, const EntityStatus& status) const;
-    TimePoint onNeighboursTimer();
 
     const EntityServerCoreSettings settings_;
     const Clock& clock_;
@@ -206,19 +207,15 @@ class EntityServerCore {
     const std::function<void()> wake_;
     const std::function<void()> pending_;
 
-    const std::string instance_;  // of this start, as the front-end servers know it
-    const std::string drill_;     // what the sender ids of drills begin with; nobody else's do
+    OtherServers others_;
+    OtherServers::Group& front_ends_;
+    OtherServers::Group& entity_servers_;
+    const std::string drill_;  // what the sender ids of drills begin with; nobody else's do
 
     SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
     SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane
 
     RateLimit slow_lines_;  // of the log, about who reads slowly
-    Neighbours front_ends_;
-    Neighbours entity_servers_;
-    std::atomic<bool> entities_changed_{false};  // since the other entity servers were told
-    // Confined to the timer's thread:
-    TimePoint next_beat_;
-    TimePoint next_announcement_;
     // Confined to whoever publishes:
     std::int64_t publications_ = 0;
 
@@ -245,7 +242,6 @@ class EntityServerCore {
     // entity server → those of elsewhere_ that it has, or had before another one said that it has them
     std::unordered_map<std::string, std::vector<std::string>> entities_of_;
     bool publishing_ = false;
-    std::unordered_map<std::string, int> busy_of_;  // front-end server → entities that its clients keep busy
     TimePoint next_drill_;
     std::deque<std::weak_ptr<Session>> drill_round_;  // those whose turn is still to come
     std::vector<Drill> drills_;                       // unanswered; at most one for each entity

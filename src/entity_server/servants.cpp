@@ -8,110 +8,69 @@
 #include "common/queue_share.hpp"
 #include "transport/ice/bound_uuid.hpp"
 #include "transport/ice/communicator.hpp"
+#include "transport/outbox/forward.hpp"
 
 namespace axon::entity_server {
 
 using transport::ByteRange;
+using transport::forward;
 using transport::fromIce;
+using transport::PublicationTicket;
 using transport::toIce;
-using transport::toRange;
 using transport::toView;
 using transport::Traffic;
 using Prx = Axon::EntityComm::EntityCallbackPrx;
-using Answered = std::function<void()>;
-using Failed = std::function<void(std::exception_ptr)>;
-using Sent = std::function<void(bool)>;
 using IceHeader = Axon::CommUtil::Header;
 
-IceEntityOutbox::IceEntityOutbox(const std::shared_ptr<Prx>& callback, transport::OutboxLimits limits,
-                                 std::shared_ptr<transport::PeerConnection> peer)
-    : peer_(std::move(peer)),
-      sender_(callback, limits, transport::untilOf(*peer_),
-              [peer = peer_](bool improper, const std::string& why) {
-                  peer->disconnect({improper, why}, false);
-              }) {}
-
 bool IceEntityOutbox::newClientMsg(const Header& head, std::string_view message, QueueShare share) {
-    return sender_.send(
-        Traffic::Control, head, message,
-        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.newClientMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.sender.id, share));
+    return sender_.send(Traffic::Control, head, message, forward<Prx>(&Prx::newClientMsgAsync),
+                        senderKey(head.sender.id, share));
 }
 
 void IceEntityOutbox::newClientMsgDataSeq(const Header& head, std::string_view data) {
-    sender_.send(
-        Traffic::Data, head, data,
-        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.newClientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.sender.id));
+    sender_.send(Traffic::Data, head, data, forward<Prx>(&Prx::newClientMsgDataSeqAsync),
+                 senderKey(head.sender.id));
 }
 
 bool IceEntityOutbox::stopSignal(const Header& head, StopCause cause) {
     const bool of_peer = cause == StopCause::Requested || cause == StopCause::Drill;
-    return sender_.send(
-        Traffic::Signal, head, {},
-        [its_cause = toIce(cause)](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-            prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
-        },
-        of_peer ? sessionKey(head.sender.id) : kServersOwn);
+    return sender_.send(Traffic::Signal, head, {}, forward<Prx>(&Prx::stopSignalAsync, toIce(cause)),
+                        of_peer ? sessionKey(head.sender.id) : kServersOwn);
 }
 
 bool IceEntityOutbox::resetSignal(const Header& head) {
-    return sender_.send(
-        Traffic::Signal, head, {},
-        [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-            prx.resetSignalAsync(h, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.sender.id));
+    return sender_.send(Traffic::Signal, head, {}, forward<Prx>(&Prx::resetSignalAsync),
+                        senderKey(head.sender.id));
 }
 
 bool IceEntityOutbox::clearSignal(const Header& head) {
-    return sender_.send(
-        Traffic::Signal, head, {},
-        [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-            prx.clearSignalAsync(h, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.sender.id));
+    return sender_.send(Traffic::Signal, head, {}, forward<Prx>(&Prx::clearSignalAsync),
+                        senderKey(head.sender.id));
 }
 
 void IceEntityOutbox::newClientUpdate(const Header& head, ClientChange change) {
-    sender_.send(
-        Traffic::Signal, head, {},
-        [its_change = toIce(change)](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-            prx.newClientUpdateAsync(h, its_change, std::move(a), std::move(f), std::move(s));
-        });
+    sender_.send(Traffic::Signal, head, {}, forward<Prx>(&Prx::newClientUpdateAsync, toIce(change)));
 }
 
 void IceEntityOutbox::newRefusalMsg(const Header& head, const Refusal& refusal) {
-    sender_.send(Traffic::Control, head, {},
-                 [code = static_cast<int>(refusal.code), reason = refusal.message](
-                     Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                     prx.newRefusalMsgAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
-                 });
+    sender_.refuse(head, refusal);
 }
 
 void IceEntityOutbox::newHeartbeat(std::int64_t sequence) {
-    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Answered a, Failed f, Sent s) {
-        prx.newHeartbeatAsync(static_cast<double>(sequence), std::move(a), std::move(f), std::move(s));
-    });
+    sender_.beat(sequence);
 }
 
 void IceEntityOutbox::disconnect(bool orderly, const std::string& why) {
-    if (const auto dropped = sender_.counts().dropped; dropped > 0) {
-        spdlog::info("entity server: {} messages to {} were dropped, it did not read them in time", dropped,
-                     peer_->peer());
-    }
-    peer_->disconnect({false, why}, orderly);
-    sender_.close();
+    sender_.disconnect(orderly, why);
 }
 
 using FrontEndPrx = Axon::EntityComm::EntityToFrontEndCommPrx;
 using PeerPrx = Axon::FrontEndComm::FrontEndToEntityCommPrx;
 
 namespace {
+
+constexpr const char* kLeft = "it ended its session";
+constexpr std::size_t kBytesOfUuid = 40;  // of one in a list, about
 
 Refusal serverUnreached(const std::string& server) {
     return {RefusalCode::NotConnected,
@@ -143,59 +102,45 @@ bool IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_vi
     return front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call, from);
 }
 
+void IceFrontEndTopic::end() {
+    publishTo({}, {});  // what still waits there is refused while there is a core to do it
+    reach({});
+    reachPeers({});
+}
+
 void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                              std::string_view profile) {
-    front_ends_.data(Traffic::Control, Header{}, profile,
-                     [its_presence = toIce(presence), its_registration = toIce(registration)](
-                         FrontEndPrx& prx, const IceHeader&, ByteRange bytes, Answered a, Failed f, Sent s) {
-                         prx.entityBasicPrflUpdateAsync(its_presence, its_registration, bytes, std::move(a),
-                                                        std::move(f), std::move(s));
-                     });
+    front_ends_.data(
+        Traffic::Control, Header{}, profile,
+        forward<FrontEndPrx>(&FrontEndPrx::entityBasicPrflUpdateAsync, toIce(presence), toIce(registration)));
 }
 void IceFrontEndTopic::entityUpdate(const EntityStatus& status, std::int64_t number) {
-    const auto call = [its_status = toIce(status), its_number = static_cast<double>(number)](
-                          FrontEndPrx& prx, Answered a, Failed f, Sent s) {
-        prx.entityUpdateAsync(its_status, its_number, std::move(a), std::move(f), std::move(s));
-    };
+    const auto call =
+        forward<FrontEndPrx>(&FrontEndPrx::entityUpdateAsync, toIce(status), static_cast<double>(number));
     front_ends_.neighboursData(Traffic::Control, std::size_t{0}, call);
     front_ends_.data(Traffic::Control, std::size_t{0}, call);
 }
 void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view message) {
-    const auto call = [its_lane = toIce(lane)](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes,
-                                               Answered a, Failed f, Sent s) {
-        prx.entityMsgAsync(its_lane, h, bytes, std::move(a), std::move(f), std::move(s));
-    };
+    const auto call = forward<FrontEndPrx>(&FrontEndPrx::entityMsgAsync, toIce(lane));
     if (lane == Lane::Signal) {
         front_ends_.signal(Traffic::Signal, head, message, call);
     } else if (head.sender.id.empty()) {
         front_ends_.data(Traffic::Control, head, message, call);
     } else {
-        const auto ticket = std::make_shared<transport::PublicationTicket>(client_lost_, head);
-        const bool taken = toOne(
-            Traffic::Control, head, message,
-            [ticket](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                prx.entityMsgAsync(Axon::CommUtil::Lane::Data, h, bytes, std::move(a),
-                                   transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
-                ticket->given();
-            },
-            senderKey(head.entity));
-        if (!taken && ticket.use_count() == 1 && ticket->take())
+        const auto ticket = std::make_shared<PublicationTicket>(client_lost_, head);
+        const bool taken = toOne(Traffic::Control, head, message, PublicationTicket::follow(ticket, call),
+                                 senderKey(head.entity));
+        if (!taken && PublicationTicket::returned(ticket))
             to_client_refused_(head, queueShareFull("the client's front-end server"));
     }
 }
 void IceFrontEndTopic::entityMsgDataSeq(const Header& head, std::string_view data) {
-    toOne(
-        Traffic::Data, head, data,
-        [](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.entityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.entity));
+    toOne(Traffic::Data, head, data, forward<FrontEndPrx>(&FrontEndPrx::entityMsgDataSeqAsync),
+          senderKey(head.entity));
 }
 void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
-    const auto call = [code = static_cast<int>(refusal.code), reason = refusal.message](
-                          FrontEndPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-        prx.entityRefusalAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
-    };
+    const auto call = forward<FrontEndPrx>(&FrontEndPrx::entityRefusalAsync, static_cast<int>(refusal.code),
+                                           refusal.message);
     if (lane == Lane::Signal) {
         front_ends_.signal(Traffic::Signal, head, std::string_view(), call);
     } else {
@@ -204,41 +149,20 @@ void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusa
 }
 void IceFrontEndTopic::entityServerEntities(const std::string& server,
                                             const std::vector<std::string>& entities) {
-    front_ends_.data(Traffic::Control, entities.size() * 40,
-                     [server, entities](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
-                         prx.entityServerEntitiesAsync(server, entities, std::move(a), std::move(f),
-                                                       std::move(s));
-                     });
-}
-Axon::CommUtil::ServerAnnouncement IceFrontEndTopic::withProxies(const ServerAnnouncement& self) const {
-    auto announcement = toIce(self);
-    announcement.signals = signals_;
-    announcement.messages = messages_;
-    return announcement;
+    front_ends_.data(Traffic::Control, entities.size() * kBytesOfUuid,
+                     forward<FrontEndPrx>(&FrontEndPrx::entityServerEntitiesAsync, server, entities));
 }
 void IceFrontEndTopic::entityServerUpdate(Lane lane, const ServerAnnouncement& self) {
-    const auto call = [announcement = withProxies(self)](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
-        prx.entityServerUpdateAsync(announcement, std::move(a), std::move(f), std::move(s));
-    };
-    front_ends_.reopen();
-    if (lane == Lane::Signal) return front_ends_.neighbours(Traffic::Heartbeat, std::size_t{0}, call);
-    front_ends_.data(Traffic::Control, std::size_t{0}, call);
+    front_ends_.announce(
+        lane, 0, forward<FrontEndPrx>(&FrontEndPrx::entityServerUpdateAsync, front_ends_.announcement(self)));
 }
 void IceFrontEndTopic::reach(const std::vector<ServerAnnouncement>& front_ends) {
     front_ends_.reach(front_ends);
 }
 void IceFrontEndTopic::peersUpdate(Lane lane, const ServerAnnouncement& self,
                                    const std::vector<std::string>& entities) {
-    const auto call = [announcement = withProxies(self), entities](PeerPrx& prx, Answered a, Failed f,
-                                                                   Sent s) {
-        prx.entityServerUpdateAsync(announcement, entities, std::move(a), std::move(f), std::move(s));
-    };
-    peers_.reopen();
-    if (lane == Lane::Signal) {
-        peers_.neighbours(Traffic::Heartbeat, std::size_t{0}, call);
-    } else {
-        peers_.data(Traffic::Control, entities.size() * 40, call);
-    }
+    peers_.announce(lane, entities.size() * kBytesOfUuid,
+                    forward<PeerPrx>(&PeerPrx::entityServerUpdateAsync, peers_.announcement(self), entities));
 }
 void IceFrontEndTopic::reachPeers(const std::vector<ServerAnnouncement>& entity_servers) {
     peers_.reach(entity_servers);
@@ -250,34 +174,23 @@ Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, con
         return taken.value_or(true) ? serverUnreached(server) : queueShareFull("that entity's server");
     };
     const auto from = senderKey(head.sender.id);
+    const auto call = forward<PeerPrx>(&PeerPrx::peerMsgAsync);
     if (lane == Lane::Signal || raw) {
-        const auto taken = peers_.straight(
-            lane, server, raw ? Traffic::Data : Traffic::Control, head, message,
-            [](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                prx.peerMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-            },
-            from);
+        const auto taken =
+            peers_.straight(lane, server, raw ? Traffic::Data : Traffic::Control, head, message, call, from);
         return taken.value_or(false) ? Result<void>() : refused(taken);
     }
-    const auto ticket = std::make_shared<transport::PublicationTicket>(peer_lost_, head);
-    const auto taken = peers_.straight(
-        lane, server, Traffic::Control, head, message,
-        [ticket](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.peerMsgAsync(h, bytes, std::move(a),
-                             transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
-            ticket->given();
-        },
-        from);
-    if (ticket.use_count() == 1 && ticket->take()) return refused(taken);
+    const auto ticket = std::make_shared<PublicationTicket>(peer_lost_, head);
+    const auto taken = peers_.straight(lane, server, Traffic::Control, head, message,
+                                       PublicationTicket::follow(ticket, call), from);
+    if (PublicationTicket::returned(ticket)) return refused(taken);
     return {};
 }
 void IceFrontEndTopic::peerRefusal(Lane lane, const std::string& server, const Header& head,
                                    const Refusal& refusal) {
-    peers_.straight(lane, server, Traffic::Control, head, std::string_view(),
-                    [code = static_cast<int>(refusal.code), reason = refusal.message](
-                        PeerPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                        prx.peerRefusalAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
-                    });
+    peers_.straight(
+        lane, server, Traffic::Control, head, std::string_view(),
+        forward<PeerPrx>(&PeerPrx::peerRefusalAsync, static_cast<int>(refusal.code), refusal.message));
 }
 
 Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr<Prx> callback,
@@ -348,44 +261,23 @@ void EntitySessionServant::keepAlive(double, const Ice::Current& current) {
 }
 
 void EntitySessionServant::leave(const Ice::Current& current) {
-    session_.peer()->require(current);
-    session_.end({true, "it ended its session"});
-    session_.peer()->disconnect({false, "it ended its session"}, true);
+    session_.leave({true, kLeft}, current);
 }
 
-// A router calls it for any end of its side, so there it means that the Entity Manager is lost.
 void EntitySessionServant::destroy(const Ice::Current& current) {
-    const auto routed = std::dynamic_pointer_cast<transport::RoutedConnection>(session_.peer());
-    if (!routed) return leave(current);
-    routed->require(current);
-    routed->ended("the router ended its session: the Entity Manager is gone, or silent");
+    session_.destroy({true, kLeft}, "the Entity Manager", current);
 }
 
 void EntityGateServant::openAsync(std::string user, std::string password, Opened opened, Refused refused,
                                   const Ice::Current& current) {
-    const auto peer = std::make_shared<transport::DirectConnection>(current.con);
-    transport::openSession(
-        lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
-        current,
-        [&lane = lane_, peer](const transport::LoggedIn& who) {
-            return std::make_shared<EntitySessionServant>(lane, peer, who.entity);
-        },
-        [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
-            logins.entity(std::move(request), std::move(answer));
-        });
+    transport::openSession<EntitySessions>(lane_, {std::move(user), std::move(password), {}, {}}, {},
+                                           std::move(opened), std::move(refused), current);
 }
 
-transport::RouterDoor doorForRouters(EntityLane& data,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
-                                     EntityLane& signal,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
-                                     transport::RouterConnections& routers) {
-    return transport::makeDoor<Axon::EntityComm::EntitySessionPrx>(
-        data, data_adapter, signal, signal_adapter, routers, &transport::Logins::entity,
-        &transport::Logins::vouchedEntity,
-        [](EntityLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer,
-           const transport::LoggedIn& who,
-           const std::string&) { return std::make_shared<EntitySessionServant>(lane, peer, who.entity); });
+std::shared_ptr<EntitySessionServant> EntitySessions::make(
+    EntityLane& lane, const std::shared_ptr<transport::PeerConnection>& peer, const transport::LoggedIn& who,
+    const std::string&) {
+    return std::make_shared<EntitySessionServant>(lane, peer, who.entity);
 }
 
 void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {

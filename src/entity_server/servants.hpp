@@ -8,8 +8,8 @@
 
 #include "entity_server/entity_server_core.hpp"
 #include "entity_server/ports.hpp"
-#include "transport/outbox/callback_sender.hpp"
 #include "transport/sessions/lane_session.hpp"
+#include "transport/sessions/peer_sender.hpp"
 #include "transport/sessions/router_servants.hpp"
 #include "transport/topics/topic_publisher.hpp"
 
@@ -21,7 +21,8 @@ namespace axon::entity_server {
 class IceEntityOutbox final : public EntityOutbox {
   public:
     IceEntityOutbox(const std::shared_ptr<Axon::EntityComm::EntityCallbackPrx>& callback,
-                    transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
+                    transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer)
+        : sender_(callback, limits, std::move(peer), "entity server") {}
     bool newClientMsg(const Header& head, std::string_view message, QueueShare share) override;
     void newClientMsgDataSeq(const Header& head, std::string_view data) override;
     bool stopSignal(const Header& head, StopCause cause) override;
@@ -33,8 +34,7 @@ class IceEntityOutbox final : public EntityOutbox {
     void disconnect(bool orderly, const std::string& why) override;
 
   private:
-    const std::shared_ptr<transport::PeerConnection> peer_;
-    const transport::CallbackSender<Axon::EntityComm::EntityCallbackPrx> sender_;
+    const transport::PeerSender<Axon::EntityComm::EntityCallbackPrx> sender_;
 };
 
 /// FrontEndTopic towards front-end servers in other processes: by the topic; signals and statuses besides
@@ -56,10 +56,12 @@ class IceFrontEndTopic final : public FrontEndTopic {
         peers_.publishTo(entity_servers);
     }
     /// Before anything is published: where this server takes signals and messages directly.
-    void setDirect(std::string signals, std::string messages) {
-        signals_ = std::move(signals);
-        messages_ = std::move(messages);
+    void setDirect(const std::string& signals, const std::string& messages) {
+        front_ends_.setDirect(signals, messages);
+        peers_.setDirect(signals, messages);
     }
+    /// Nothing is published or sent any more; what still waits is lost.
+    void end();
     void entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                std::string_view profile) override;
     void entityUpdate(const EntityStatus& status, std::int64_t number) override;
@@ -81,15 +83,12 @@ class IceFrontEndTopic final : public FrontEndTopic {
     template <class Call>
     bool toOne(transport::Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
                SenderKey from = kServersOwn);
-    Axon::CommUtil::ServerAnnouncement withProxies(const ServerAnnouncement& self) const;
 
     const transport::PublicationTicket::Lost peer_lost_;
     const transport::PublicationTicket::Lost client_lost_;
     const std::function<void(const Header&, const Refusal&)> to_client_refused_;
     transport::TopicPublisher<Axon::EntityComm::EntityToFrontEndCommPrx> front_ends_;
     transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> peers_;
-    std::string signals_;
-    std::string messages_;
 };
 
 class EntitySessionServant;
@@ -157,14 +156,6 @@ class EntityGateServant final : public Axon::EntityComm::EntityGate {
     EntityLane& lane_;
 };
 
-/// How Entity Managers behind a router come in: makes their sessions, on the lanes' own adapters. All outlive
-/// what it returns.
-transport::RouterDoor doorForRouters(EntityLane& data,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
-                                     EntityLane& signal,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
-                                     transport::RouterConnections& routers);
-
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
   public:
@@ -192,6 +183,25 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
     EntityServerCore& core_;
     const Lane lane_;
     const Via via_;
+};
+
+/// What is the entity server's own of its ServerRim.
+struct EntitySessions {
+    using Core = EntityServerCore;
+    using Topic = IceFrontEndTopic;
+    using Session = EntitySessionServant;
+    using SessionPrx = Axon::EntityComm::EntitySessionPrx;
+    using Gate = EntityGateServant;
+    using Listener = FrontEndToEntityServant;
+    static constexpr const char* kServer = "EntityServer";
+    static constexpr const char* kGate = "EntityGate";
+    static constexpr const char* kTimer = "axon-ent-timer";
+    static constexpr auto kVerify = &transport::Logins::entity;
+    static constexpr auto kVouched = &transport::Logins::vouchedEntity;
+    static std::shared_ptr<EntitySessionServant> make(EntityLane& lane,
+                                                      const std::shared_ptr<transport::PeerConnection>& peer,
+                                                      const transport::LoggedIn& who,
+                                                      const std::string& display_name);
 };
 
 }  // namespace axon::entity_server

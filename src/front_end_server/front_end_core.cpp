@@ -13,118 +13,18 @@
 #include "common/queue_share.hpp"
 #include "common/rights.hpp"
 #include "common/utf8.hpp"
+#include "front_end_server/client.hpp"
 
 namespace axon::front_end_server {
 
 namespace {
 
-// Of who does not hold the entity, since its Entity Manager must read a message before it can tell whose it
-// is: in one message, more than a chunk of an upload; in a second, less than a slow link to a robot carries.
-constexpr std::size_t kStrangersBytes = 128 * 1024U;
-constexpr std::uint32_t kStrangersBytesPerSecond = 1024 * 1024U;
-constexpr std::size_t kUnknownAsked = 256;    // entities that a client may ask before the server knows them
-constexpr std::uint32_t kListsPerSecond = 4;  // of all entities, for one client
 constexpr std::uint32_t kLinesPerSecond = 8;  // of the log, of a kind
-
-}  // namespace
-
-class FrontEndCore::Client {
-  public:
-    Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
-           const FrontEndCoreSettings& settings, TimePoint now)
-        : me(std::move(its_sender)),
-          token(std::move(its_token)),
-          data(std::move(its_data)),
-          rate(settings.messages_per_second),
-          drill_rate(settings.drills_per_second),
-          watchdog(settings.watchdog_busy, settings.watchdog_idle, now),
-          next_heartbeat(now + settings.heartbeat_idle),
-          fed(now) {
-        signs.allow(watchdog.timeout(), now);
-    }
-
-    // Constant after construction.
-    const Sender me;
-    const std::string token;
-    const std::shared_ptr<ClientOutbox> data;
-
-    RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
-    Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
-    LifeSigns signs;                                 // written without a lock
-    std::atomic<std::size_t> told{0};                // entities, when it joined
-    mutable std::mutex asked_mutex;  // after the core's; of who goes on, for a word of a few bytes
-    std::unordered_map<std::string, bool>
-        asked;                             // guarded by it: which know of it; whether it wanted a check-out
-    bool asked_taken = false;              // guarded by it
-    std::unordered_set<std::string> held;  // guarded by it; as holdings_ of the core has it
-
-    // Guarded by the core's mutex.
-    Watchdog watchdog;
-    TimePoint next_heartbeat;
-    std::int64_t heartbeats = 0;
-    TimePoint warn_again;
-    TimePoint fed;  // the last sign of life that the watchdog was told
-    bool gone = false;
-
-    /// Tells the watchdog of the signs of life since it was told last. Under the core's mutex.
-    void listen() {
-        const auto last = signs.last();
-        if (last <= fed) return;
-        fed = last;
-        watchdog.feed(last);
-    }
-    /// Not any more once it has left. One that is not known here may be joining; of names that nobody has,
-    /// the first few.
-    bool asks(const std::string& entity, bool check_out, bool known) {
-        const std::lock_guard lock(asked_mutex);
-        if (asked_taken) return false;
-        if (!known && asked.size() >= kUnknownAsked && !asked.contains(entity)) return true;
-        auto& before = asked[entity];
-        before = before || check_out;
-        return true;
-    }
-    bool holds(const std::string& entity) const {
-        const std::lock_guard lock(asked_mutex);
-        return held.contains(entity);
-    }
-    void setHolds(const std::string& entity, bool holds) {
-        const std::lock_guard lock(asked_mutex);
-        if (holds) {
-            held.insert(entity);
-        } else {
-            held.erase(entity);
-        }
-    }
-    /// For a check-out or a watch.
-    bool knows(const std::string& entity) const {
-        const std::lock_guard lock(asked_mutex);
-        return asked.contains(entity);
-    }
-    bool hasAsked(const std::string& entity) const {
-        const std::lock_guard lock(asked_mutex);
-        const auto found = asked.find(entity);
-        return found != asked.end() && found->second;
-    }
-    std::unordered_map<std::string, bool> takeAsked() {
-        const std::lock_guard lock(asked_mutex);
-        asked_taken = true;
-        return std::exchange(asked, {});
-    }
-    /// The signal lane, or the only one there is.
-    std::shared_ptr<ClientOutbox> signalOutbox() const {
-        const auto own = *signal.load();
-        return own ? own : data;
-    }
-};
-
-namespace {
 
 Refusal refuse(RefusalCode code, std::string message) {
     return {code, std::move(message), {}};
 }
 
-// A little less than the second in which a server announces itself by the topic.
-constexpr std::chrono::milliseconds kAskAgain{900};
 constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as much as a message
 constexpr auto kData = static_cast<std::size_t>(Lane::Data);
 constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
@@ -155,8 +55,13 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       global_services_(global_services),
       doubts_(kLinesPerSecond),
       excesses_(kLinesPerSecond),
-      instance_(Id128::random(random).toString().substr(0, 8)),
-      entity_servers_(settings.entity_servers) {}
+      others_(settings.name, random, note_,
+              [this](Lane lane) { topic_.frontEndServerUpdate(lane, others_.self()); }),
+      entity_servers_(others_.add({.name = "entity server",
+                                   .timeouts = settings.entity_servers,
+                                   .reach = [this](const auto& servers) { topic_.reach(servers); },
+                                   .lost = [this](const auto& names) { serversLost(names); },
+                                   .arrived = [this](const auto& name) { serverArrived(name); }})) {}
 
 FrontEndCore::~FrontEndCore() = default;
 
@@ -183,7 +88,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         }
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
-        const auto origin = alone() ? std::string() : settings_.name + ":" + instance_ + ":";
+        const auto origin = alone() ? std::string() : settings_.name + ":" + others_.self().instance + ":";
         // Of version 8: no entity can register under it without a secret that nobody has (ADR 0024).
         auto id = Id128::uuid(random_).toString();
         id[kUserDigits] = '8';
@@ -354,14 +259,10 @@ Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size
 void FrontEndCore::believe(const Client& client, const std::string& entity) {
     {
         const std::lock_guard lock(mutex_);
-        const auto held = holdings_.find(client.me.id);
-        if (held == holdings_.end()) return;
-        const auto busy = held->second.find(entity);
         const auto known = records_.find(entity);
-        if (busy == held->second.end() || busy->second || known == records_.end() ||
-            known->second->status.state != EntityState::BUSY)
+        if (!holdings_.has(client.me.id, entity) || known == records_.end() ||
+            known->second->status.state != EntityState::BUSY || !holdings_.set(client.me.id, entity, true))
             return;
-        busy->second = true;
         updateHolding(client.me.id);
     }
     wake_();
@@ -470,7 +371,7 @@ void FrontEndCore::keepAlive(const ClientRef& client) {
 }
 
 // All stops before anything else is said: no entity's stop waits for another one's paperwork.
-void FrontEndCore::settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held) {
+void FrontEndCore::settle(const Sender& client, Ending ending, const Holdings::Held& held) {
     if (AXON_PLANTED(LostClientForgotten) && ending == Ending::Lost) return;
     Header head;
     head.sender = client;
@@ -498,14 +399,14 @@ void FrontEndCore::tellGone(const Sender& client, const std::string& entity, End
 }
 
 void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::string& why) {
-    std::map<std::string, bool> held;
+    Holdings::Held held;
     {
         const std::lock_guard lock(mutex_);
         if (client->gone) return;
         client->gone = true;
         clients_.erase(client->me.id);
         tokens_.erase(client->token);
-        if (const auto found = holdings_.find(client->me.id); found != holdings_.end()) held = found->second;
+        held = holdings_.of(client->me.id);
         gone_.emplace(client->me.id, Gone{client->me, ending});
         gone_order_.push_back(client->me.id);
         if (gone_order_.size() > settings_.clients_remembered) {
@@ -554,10 +455,7 @@ void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& sen
 void FrontEndCore::updateHolding(const std::string& holder) {
     const auto client = clients_.find(holder);
     if (client == clients_.end()) return;
-    const auto held = holdings_.find(holder);
-    const bool busy =
-        held != holdings_.end() && std::any_of(held->second.begin(), held->second.end(),
-                                               [](const auto& entity) { return entity.second; });
+    const bool busy = holdings_.busy(holder);
     auto& watched = *client->second;
     const auto now = clock_.now();
     watched.listen();
@@ -621,18 +519,17 @@ FrontEndCore::RecordRef FrontEndCore::takeOut(const std::string& entity) {
     known_.erase(record->registration.entity);
     disputed_.erase(record->registration.entity);
     countBusy(record.get(), nullptr);
-    if (const auto client = clients_.find(holder); client != clients_.end())
-        client->second->setHolds(record->registration.entity, false);
-    if (const auto held = holdings_.find(holder); held != holdings_.end()) {
-        held->second.erase(record->registration.entity);
-        if (held->second.empty()) holdings_.erase(held);
-        updateHolding(holder);
-    }
+    letGo(holder, record->registration.entity);
     return record;
 }
 
-ServerAnnouncement FrontEndCore::announcement() const {
-    return {settings_.name, instance_, {}, 0};
+/// Under the mutex: the entity names this holder no longer.
+void FrontEndCore::letGo(const std::string& holder, const std::string& entity) {
+    if (holder.empty()) return;
+    if (const auto client = clients_.find(holder); client != clients_.end())
+        client->second->setHolds(entity, false);
+    holdings_.erase(holder, entity);
+    updateHolding(holder);
 }
 
 void FrontEndCore::refuseUnknown(ClientOutbox& to, const Header& head) const {
@@ -649,15 +546,9 @@ void FrontEndCore::ask(const std::string& server) {
     topic_.clientRequest(head);
 }
 
-/// Under the mutex: its list is to come. The question, too, may be lost, and then nothing else would tell.
-void FrontEndCore::await(const std::string& server) {
-    asked_[server] = clock_.now();
-}
-
 /// Under the mutex: a registration or a status of this server has come.
 void FrontEndCore::hearOf(const std::string& server) {
-    if (alone() || server.empty()) return;
-    if (const auto found = heard_.find(server); found != heard_.end()) ++found->second;
+    if (!alone() && !server.empty()) missed_.heard(server);
 }
 
 /// Under the mutex.
@@ -667,14 +558,7 @@ void FrontEndCore::countBusy(const Record* before, const Record* now) {
         return record != nullptr && record->status.state == EntityState::BUSY ? record->registration.server
                                                                               : std::string();
     };
-    const auto was = keeps(before);
-    const auto is = keeps(now);
-    if (was == is) return;
-    if (!is.empty() && busy_of_[is]++ == 0) entity_servers_.setBusy(is, true, clock_.now());
-    if (const auto found = busy_of_.find(was); found != busy_of_.end() && --found->second == 0) {
-        busy_of_.erase(found);
-        entity_servers_.setBusy(was, false, clock_.now());
-    }
+    entity_servers_.moveTask(keeps(before), keeps(now), clock_.now());
 }
 
 void FrontEndCore::tellLeft(const std::vector<RecordRef>& records) {
@@ -711,7 +595,7 @@ void FrontEndCore::entityServerEntities(const std::string& server, const std::ve
     if (alone() || !isServerName(server)) return;
     {
         const std::lock_guard lock(mutex_);
-        asked_.erase(server);
+        missed_.answered(server);
     }
     forget(server, {entities.begin(), entities.end()});
 }
@@ -722,54 +606,33 @@ void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& serve
     if (lane == Lane::Signal || !isServerName(server.name)) return;
     {
         const std::lock_guard lock(mutex_);
-        if (heard_.size() >= Neighbours::kMost && !heard_.contains(server.name)) return;
-        const auto [heard, is_new] = heard_.try_emplace(server.name, server.published);
-        const auto asked = asked_.find(server.name);
-        const bool unanswered = asked != asked_.end() && clock_.now() - asked->second >= kAskAgain;
-        if (!is_new && !unanswered && heard->second == server.published) return;
-        heard->second = server.published;
-        await(server.name);
+        if (!missed_.announced(server.name, server.published, clock_.now())) return;
     }
     ask(server.name);  // something of it was lost on the way, or it was there first
 }
 
 void FrontEndCore::topicFound() {
-    topic_.frontEndServerUpdate(Lane::Data, announcement());
+    topic_.frontEndServerUpdate(Lane::Data, others_.self());
     {
         const std::lock_guard lock(mutex_);
-        for (const auto& [server, published] : heard_) await(server);
+        missed_.askedAll(clock_.now());
     }
     ask({});
 }
 
-TimePoint FrontEndCore::onNeighboursTimer() {
-    constexpr std::chrono::milliseconds kBeat{50};
-    constexpr std::chrono::seconds kAnnounce{1};
-    const auto now = clock_.now();
-    const auto news = entity_servers_.news(now);
-    if (news.reachable) topic_.reach(*news.reachable);
-    // Whoever is new hears of it at once: its watchdog is short only from then on.
-    if (now >= next_beat_ || news.reachable) {
-        next_beat_ = now + kBeat;
-        topic_.frontEndServerUpdate(Lane::Signal, announcement());
-    }
-    if (now >= next_announcement_) {
-        next_announcement_ = now + kAnnounce;
-        topic_.frontEndServerUpdate(Lane::Data, announcement());
-    }
-    for (const auto& name : news.lost) {
+void FrontEndCore::serversLost(const std::vector<std::string>& names) {
+    for (const auto& name : names) {
         note_("entity server " + name + " is gone");
         forget(name, {});
     }
-    for (const auto& name : news.arrived) {
-        note_("entity server " + name + " is there");
-        {
-            const std::lock_guard lock(mutex_);
-            if (heard_.contains(name)) await(name);
-        }
-        ask(name);
+}
+
+void FrontEndCore::serverArrived(const std::string& name) {
+    {
+        const std::lock_guard lock(mutex_);
+        missed_.asked(name, clock_.now());
     }
-    return std::min({news.next, next_beat_, next_announcement_});
+    ask(name);
 }
 
 void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via via) {
@@ -802,15 +665,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         next->number = number;
         countBusy(found->second.get(), next.get());
         found->second = std::move(next);
-        if (before != holder && !before.empty()) {
-            if (const auto client = clients_.find(before); client != clients_.end())
-                client->second->setHolds(entity, false);
-            if (const auto held = holdings_.find(before); held != holdings_.end()) {
-                held->second.erase(entity);
-                if (held->second.empty()) holdings_.erase(held);
-            }
-            updateHolding(before);
-        }
+        if (before != holder) letGo(before, entity);
         if (!holder.empty()) {
             const auto client = clients_.find(holder);
             if (client != clients_.end()) {
@@ -820,12 +675,8 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
                 if (!asked && before != holder)
                     doubt =
                         "it names " + client->second->me.name + " as its holder, who has not asked for it";
-                const auto [held, is_new] = holdings_[holder].try_emplace(entity, busy && asked);
                 client->second->setHolds(entity, true);
-                if (is_new || held->second != (busy && asked)) {
-                    held->second = busy && asked;
-                    updateHolding(holder);
-                }
+                if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
             } else if (before != holder && !status.orphaned && isOurs(holder)) {
                 // Granted to a client that was gone before the grant was known here, however long ago.
                 const auto gone = gone_.find(holder);
@@ -909,7 +760,7 @@ TimePoint FrontEndCore::onTimer() {
                   " ms");
     }
     for (const auto& [client, sequence] : heartbeats) client->signalOutbox()->newHeartbeat(sequence);
-    if (!alone()) next = std::min(next, onNeighboursTimer());
+    next = std::min(next, others_.onTimer(clock_.now()));
     for (const auto& warning : warnings) note_(warning);
     return next;
 }

@@ -3,7 +3,6 @@
 #include <atomic>
 #include <deque>
 #include <functional>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -15,13 +14,14 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
-#include "common/neighbours.hpp"
+#include "common/other_servers.hpp"
 #include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "common/snapshot_table.hpp"
-#include "common/watchdog.hpp"
+#include "front_end_server/holdings.hpp"
+#include "front_end_server/missed_news.hpp"
 #include "front_end_server/ports.hpp"
 
 namespace axon::front_end_server {
@@ -47,6 +47,8 @@ struct FrontEndCoreSettings {
 /// The most entities that one list of stops may name. A stop goes to the first of a longer one, and its
 /// sender's session ends.
 inline constexpr std::size_t kStopsAtOnce = 8192;
+
+class Client;
 
 /// How a session ended.
 enum class Ending : std::uint8_t {
@@ -80,7 +82,6 @@ enum class Ending : std::uint8_t {
 /// nothing throws.
 class FrontEndCore {
   public:
-    class Client;
     using ClientRef = std::shared_ptr<Client>;
     using Note = std::function<void(const std::string& line)>;
 
@@ -166,23 +167,23 @@ class FrontEndCore {
     void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;
-    void settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held);
+    void settle(const Sender& client, Ending ending, const Holdings::Held& held);
     void tellGone(const Sender& client, const std::string& entity, Ending ending);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
     bool isOurs(const std::string& client) const {
         return alone() || originOf(client).server == settings_.name;
     }
-    ServerAnnouncement announcement() const;
     void refuseUnknown(ClientOutbox& to, const Header& head) const;
     void ask(const std::string& server);
-    void await(const std::string& server);
     void hearOf(const std::string& server);
     void countBusy(const Record* before, const Record* now);
     RecordRef takeOut(const std::string& entity);
+    void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
     void tellLeft(const std::vector<RecordRef>& records);
-    TimePoint onNeighboursTimer();
+    void serversLost(const std::vector<std::string>& names);
+    void serverArrived(const std::string& name);
 
     const FrontEndCoreSettings settings_;
     const Clock& clock_;
@@ -198,22 +199,16 @@ class FrontEndCore {
 
     RateLimit doubts_, excesses_;  // lines of the log about what entities and clients do
 
-    const std::string instance_;  // of this start, as the entity servers know it
-    Neighbours entity_servers_;
-    // Confined to the timer's thread:
-    TimePoint next_beat_;
-    TimePoint next_announcement_;
+    OtherServers others_;
+    OtherServers::Group& entity_servers_;
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
     std::unordered_map<std::string, ClientRef> clients_;
     std::unordered_map<std::string, std::weak_ptr<Client>> tokens_;
     Records records_;
-    std::unordered_map<std::string, std::map<std::string, bool>>
-        holdings_;                                         // client → entities, whether BUSY
-    std::unordered_map<std::string, std::int64_t> heard_;  // entity server → registrations and statuses
-    std::unordered_map<std::string, TimePoint> asked_;  // entity server → when, while its list has not come
-    std::unordered_map<std::string, int> busy_of_;      // entity server → entities that are BUSY
+    Holdings holdings_;
+    MissedNews missed_;
     // Entities that another server than the record's has spoken of; when that one lets go, it is asked.
     std::unordered_set<std::string> disputed_;
     std::unordered_map<std::string, Gone> gone_;

@@ -616,6 +616,21 @@ TEST_F(FrontEndTest, StopsWhatWasGrantedToAClientThatIsGone) {
     EXPECT_THAT(topic.take(), Contains("lost to e1"));
 }
 
+// The end of a client travels on the signal lane, its check-out on the data lane. Where the end comes first,
+// the Entity Manager holds nobody yet, has nothing to end, and then grants the check-out.
+TEST_F(FrontEndTest, ACheckOutThatTheEndOfItsClientOvertookIsEndedOnceItIsGranted) {
+    entity("e1");
+    const auto peer = join();
+    ask(peer.client, "e1");
+    topic.take();
+    core.leave(peer.client, Ending::Lost, "connection lost");
+    EXPECT_THAT(topic.take(), ElementsAre("lost to e1"));
+    tell("e1", EntityState::IDLE, "");
+    EXPECT_THAT(topic.take(), IsEmpty());
+    tell("e1", EntityState::REG, peer.id());
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1", "lost to e1"));
+}
+
 TEST_F(FrontEndTest, RoutesToTheRecipientOrToAll) {
     const auto client1 = join("client1");
     const auto client2 = join("client2");

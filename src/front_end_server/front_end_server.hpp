@@ -58,7 +58,7 @@ struct FrontEndServerSettings {
 class FrontEndServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).
-    FrontEndServer(FrontEndServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
+    FrontEndServer(const FrontEndServerSettings& settings, const std::shared_ptr<Ice::Communicator>& data,
                    const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
                    FrontEndCore::Note note);
     ~FrontEndServer();
@@ -79,8 +79,8 @@ class FrontEndServer {
     FrontEndCore& core();
 
   private:
-    class Rim;
-    std::unique_ptr<Rim> rim_;
+    struct Parts;
+    std::unique_ptr<Parts> parts_;
 };
 
 }  // namespace axon::front_end_server

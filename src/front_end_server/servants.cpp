@@ -7,103 +7,77 @@
 
 #include "common/queue_share.hpp"
 #include "transport/ice/communicator.hpp"
+#include "transport/outbox/forward.hpp"
 
 namespace axon::front_end_server {
 
 using transport::ByteRange;
+using transport::forward;
 using transport::fromIce;
 using transport::toIce;
-using transport::toRange;
 using transport::toView;
 using transport::Traffic;
 using Prx = Axon::FrontEndComm::ClientCallbackPrx;
-using Answered = std::function<void()>;
-using Failed = std::function<void(std::exception_ptr)>;
-using Sent = std::function<void(bool)>;
 using IceHeader = Axon::CommUtil::Header;
 static_assert(Axon::CommUtil::StopList::kMost == kStopsAtOnce);
 
-IceClientOutbox::IceClientOutbox(const std::shared_ptr<Prx>& callback, transport::OutboxLimits limits,
-                                 std::shared_ptr<transport::PeerConnection> peer)
-    : peer_(std::move(peer)),
-      sender_(callback, limits, transport::untilOf(*peer_),
-              [peer = peer_](bool improper, const std::string& why) {
-                  peer->disconnect({improper, why}, false);
-              }) {}
+namespace {
+
+constexpr const char* kLeft = "it ended its session";
+
+/// "client1@host", where the user is who logged in and the rest is what the client says of itself.
+std::string nameOf(const transport::LoggedIn& who, const std::string& display_name) {
+    if (who.user.empty()) return display_name;
+    const auto host = display_name.substr(display_name.rfind('@') + 1);
+    return host.empty() || host == who.user ? who.user : who.user + "@" + host;
+}
+
+}  // namespace
 
 void IceClientOutbox::newBasicPrflMsg(Presence presence, const Registration& registration,
                                       std::string_view profile) {
     sender_.send(Traffic::Control, {}, profile,
-                 [its_presence = toIce(presence), its_registration = toIce(registration)](
-                     Prx& prx, const IceHeader&, ByteRange bytes, Answered a, Failed f, Sent s) {
-                     prx.newBasicPrflMsgAsync(its_presence, its_registration, bytes, std::move(a),
-                                              std::move(f), std::move(s));
-                 });
+                 forward<Prx>(&Prx::newBasicPrflMsgAsync, toIce(presence), toIce(registration)));
 }
 
 void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
-    sender_.send(Traffic::Control, 0, [its_status = toIce(status)](Prx& prx, Answered a, Failed f, Sent s) {
-        prx.newStatusMsgAsync(its_status, std::move(a), std::move(f), std::move(s));
-    });
+    sender_.send(Traffic::Control, 0, forward<Prx>(&Prx::newStatusMsgAsync, toIce(status)));
 }
 
 bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message,
                                    QueueShare share) {
-    return sender_.send(
-        lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
-        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.newEntityMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.entity, share));
+    return sender_.send(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
+                        forward<Prx>(&Prx::newEntityMsgAsync), senderKey(head.entity, share));
 }
 
 void IceClientOutbox::newEntityMsgDataSeq(const Header& head, std::string_view data) {
-    sender_.send(
-        Traffic::Data, head, data,
-        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.newEntityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.entity));
+    sender_.send(Traffic::Data, head, data, forward<Prx>(&Prx::newEntityMsgDataSeqAsync),
+                 senderKey(head.entity));
 }
 
 void IceClientOutbox::newRefusalMsg(const Header& head, const Refusal& refusal) {
-    sender_.send(Traffic::Control, head, {},
-                 [code = static_cast<int>(refusal.code), reason = refusal.message](
-                     Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                     prx.newRefusalMsgAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
-                 });
+    sender_.refuse(head, refusal);
 }
 
 void IceClientOutbox::newStopAccepted(const Header& head, std::int32_t entities) {
-    sender_.send(Traffic::Signal, head, {},
-                 [entities](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                     prx.newStopAcceptedAsync(h, entities, std::move(a), std::move(f), std::move(s));
-                 });
+    sender_.send(Traffic::Signal, head, {}, forward<Prx>(&Prx::newStopAcceptedAsync, entities));
 }
 
 void IceClientOutbox::newUpdateMsg(RefusalCode code, const std::string& text) {
     sender_.send(Traffic::Control, text.size(),
-                 [its_code = static_cast<int>(code), text](Prx& prx, Answered a, Failed f, Sent s) {
-                     prx.newUpdateMsgAsync(its_code, text, std::move(a), std::move(f), std::move(s));
-                 });
+                 forward<Prx>(&Prx::newUpdateMsgAsync, static_cast<int>(code), text));
 }
 
 void IceClientOutbox::newHeartbeat(std::int64_t sequence) {
-    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Answered a, Failed f, Sent s) {
-        prx.newHeartbeatAsync(static_cast<double>(sequence), std::move(a), std::move(f), std::move(s));
-    });
+    sender_.beat(sequence);
 }
 
 void IceClientOutbox::disconnect(bool orderly, const std::string& why) {
-    if (const auto dropped = sender_.counts().dropped; dropped > 0) {
-        spdlog::info("front-end server: {} messages to {} were dropped, it did not read them in time",
-                     dropped, peer_->peer());
-    }
-    peer_->disconnect({false, why}, orderly);
-    sender_.close();
+    sender_.disconnect(orderly, why);
 }
 
 using EntityPrx = Axon::FrontEndComm::FrontEndToEntityCommPrx;
+using transport::PublicationTicket;
 
 namespace {
 
@@ -123,83 +97,54 @@ IceEntityTopic::IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
     : lost_([lost = std::move(lost)](const Header& head) { lost(head, topicDown()); }),
       publisher_(data, signal, "front-end server") {}
 
+void IceEntityTopic::end() {
+    publisher_.publishTo({});  // what still waits there is refused while there is a core to do it
+    publisher_.reach({});
+}
+
 Result<void> IceEntityTopic::clientMsg(const std::string& server, const Header& head,
                                        std::string_view message) {
-    const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
-    const bool taken = publisher_.one(
-        server, Traffic::Control, head, message,
-        [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.clientMsgAsync(h, bytes, std::move(a),
-                               transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
-            ticket->given();
-        },
-        senderKey(head.sender.id));
-    if (ticket.use_count() == 1 && ticket->take())
+    const auto ticket = std::make_shared<PublicationTicket>(lost_, head);
+    const bool taken =
+        publisher_.one(server, Traffic::Control, head, message,
+                       PublicationTicket::follow(ticket, forward<EntityPrx>(&EntityPrx::clientMsgAsync)),
+                       senderKey(head.sender.id));
+    if (PublicationTicket::returned(ticket))
         return taken ? topicDown() : queueShareFull("the entity's server");
     return {};
 }
 void IceEntityTopic::clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) {
-    publisher_.one(
-        server, Traffic::Data, head, data,
-        [](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.clientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.sender.id));
+    publisher_.one(server, Traffic::Data, head, data, forward<EntityPrx>(&EntityPrx::clientMsgDataSeqAsync),
+                   senderKey(head.sender.id));
 }
 void IceEntityTopic::clientRequest(const Header& head) {
     publisher_.data(Traffic::Control, head, std::string_view(),
-                    [](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                        prx.clientRequestAsync(h, std::move(a), std::move(f), std::move(s));
-                    });
+                    forward<EntityPrx>(&EntityPrx::clientRequestAsync));
 }
 void IceEntityTopic::clientUpdate(const Header& head, ClientChange change) {
     publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      [its_change = toIce(change)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a,
-                                                   Failed f, Sent s) {
-                          prx.clientUpdateAsync(h, its_change, std::move(a), std::move(f), std::move(s));
-                      });
+                      forward<EntityPrx>(&EntityPrx::clientUpdateAsync, toIce(change)));
 }
 void IceEntityTopic::stopSignal(const Header& head, StopCause cause) {
     publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      [its_cause = toIce(cause)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a,
-                                                 Failed f, Sent s) {
-                          prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
-                      });
+                      forward<EntityPrx>(&EntityPrx::stopSignalAsync, toIce(cause)));
 }
 void IceEntityTopic::stopSignals(const Header& head, const std::vector<std::string>& entities,
                                  StopCause cause) {
     publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      [entities, its_cause = toIce(cause)](EntityPrx& prx, const IceHeader& h, ByteRange,
-                                                           Answered a, Failed f, Sent s) {
-                          prx.stopSignalsAsync(h, entities, its_cause, std::move(a), std::move(f),
-                                               std::move(s));
-                      });
+                      forward<EntityPrx>(&EntityPrx::stopSignalsAsync, entities, toIce(cause)));
 }
 void IceEntityTopic::resetSignal(const Header& head) {
     publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      [](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                          prx.resetSignalAsync(h, std::move(a), std::move(f), std::move(s));
-                      });
+                      forward<EntityPrx>(&EntityPrx::resetSignalAsync));
 }
 void IceEntityTopic::clearSignal(const Header& head) {
     publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      [](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                          prx.clearSignalAsync(h, std::move(a), std::move(f), std::move(s));
-                      });
+                      forward<EntityPrx>(&EntityPrx::clearSignalAsync));
 }
 void IceEntityTopic::frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) {
-    auto announcement = toIce(self);
-    announcement.signals = signals_;
-    announcement.messages = messages_;
-    const auto call = [announcement = std::move(announcement)](EntityPrx& prx, Answered a, Failed f, Sent s) {
-        prx.frontEndServerUpdateAsync(announcement, std::move(a), std::move(f), std::move(s));
-    };
-    publisher_.reopen();
-    if (lane == Lane::Signal) {
-        publisher_.neighbours(Traffic::Heartbeat, std::size_t{0}, call);
-    } else {
-        publisher_.data(Traffic::Control, std::size_t{0}, call);
-    }
+    publisher_.announce(
+        lane, 0, forward<EntityPrx>(&EntityPrx::frontEndServerUpdateAsync, publisher_.announcement(self)));
 }
 void IceEntityTopic::reach(const std::vector<ServerAnnouncement>& entity_servers) {
     publisher_.reach(entity_servers);
@@ -272,56 +217,24 @@ void ClientSessionServant::keepAlive(double, const Ice::Current& current) {
 }
 
 void ClientSessionServant::leave(const Ice::Current& current) {
-    session_.peer()->require(current);
-    session_.end({Ending::Ended, "it ended its session"});
-    session_.peer()->disconnect({false, "it ended its session"}, true);
+    session_.leave({Ending::Ended, kLeft}, current);
 }
 
-// A router calls it for any end of its side, so there it means that the client is lost.
 void ClientSessionServant::destroy(const Ice::Current& current) {
-    const auto routed = std::dynamic_pointer_cast<transport::RoutedConnection>(session_.peer());
-    if (!routed) return leave(current);
-    routed->require(current);
-    routed->ended("the router ended its session: the client is gone, or silent");
+    session_.destroy({Ending::Ended, kLeft}, "the client", current);
 }
-
-namespace {
-
-/// "client1@host", where the user is who logged in and the rest is what the client says of itself.
-std::string nameOf(const transport::LoggedIn& who, const std::string& display_name) {
-    if (who.user.empty()) return display_name;
-    const auto host = display_name.substr(display_name.rfind('@') + 1);
-    return host.empty() || host == who.user ? who.user : who.user + "@" + host;
-}
-
-}  // namespace
 
 void ClientGateServant::openAsync(std::string user, std::string password, std::string display_name,
                                   Opened opened, Refused refused, const Ice::Current& current) {
-    const auto peer = std::make_shared<transport::DirectConnection>(current.con);
-    transport::openSession(
-        lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
-        current,
-        [&lane = lane_, peer, display_name = std::move(display_name)](const transport::LoggedIn& who) {
-            return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who);
-        },
-        [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
-            logins.client(std::move(request), std::move(answer));
-        });
+    transport::openSession<ClientSessions>(lane_, {std::move(user), std::move(password), {}, {}},
+                                           std::move(display_name), std::move(opened), std::move(refused),
+                                           current);
 }
 
-transport::RouterDoor doorForRouters(ClientLane& data,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
-                                     ClientLane& signal,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
-                                     transport::RouterConnections& routers) {
-    return transport::makeDoor<Axon::FrontEndComm::ClientSessionPrx>(
-        data, data_adapter, signal, signal_adapter, routers, &transport::Logins::client,
-        &transport::Logins::vouchedClient,
-        [](ClientLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer,
-           const transport::LoggedIn& who, const std::string& display_name) {
-            return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who);
-        });
+std::shared_ptr<ClientSessionServant> ClientSessions::make(
+    ClientLane& lane, const std::shared_ptr<transport::PeerConnection>& peer, const transport::LoggedIn& who,
+    const std::string& display_name) {
+    return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who);
 }
 
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,

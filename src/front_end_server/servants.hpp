@@ -8,8 +8,8 @@
 
 #include "front_end_server/front_end_core.hpp"
 #include "front_end_server/ports.hpp"
-#include "transport/outbox/callback_sender.hpp"
 #include "transport/sessions/lane_session.hpp"
+#include "transport/sessions/peer_sender.hpp"
 #include "transport/sessions/router_servants.hpp"
 #include "transport/topics/topic_publisher.hpp"
 
@@ -21,7 +21,8 @@ namespace axon::front_end_server {
 class IceClientOutbox final : public ClientOutbox {
   public:
     IceClientOutbox(const std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx>& callback,
-                    transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
+                    transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer)
+        : sender_(callback, limits, std::move(peer), "front-end server") {}
     void newBasicPrflMsg(Presence presence, const Registration& registration,
                          std::string_view profile) override;
     void newStatusMsg(const EntityStatus& status) override;
@@ -34,8 +35,7 @@ class IceClientOutbox final : public ClientOutbox {
     void disconnect(bool orderly, const std::string& why) override;
 
   private:
-    const std::shared_ptr<transport::PeerConnection> peer_;
-    const transport::CallbackSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;
+    const transport::PeerSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;
 };
 
 /// EntityTopic towards entity servers in other processes: by the topic; signals besides straight to each, and
@@ -50,10 +50,11 @@ class IceEntityTopic final : public EntityTopic {
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& entity_servers) { publisher_.publishTo(entity_servers); }
     /// Before anything is published: where this server takes signals and messages directly.
-    void setDirect(std::string signals, std::string messages) {
-        signals_ = std::move(signals);
-        messages_ = std::move(messages);
+    void setDirect(const std::string& signals, const std::string& messages) {
+        publisher_.setDirect(signals, messages);
     }
+    /// Nothing is published or sent any more; what still waits is lost.
+    void end();
     Result<void> clientMsg(const std::string& server, const Header& head, std::string_view message) override;
     void clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) override;
     void clientRequest(const Header& head) override;
@@ -68,8 +69,6 @@ class IceEntityTopic final : public EntityTopic {
   private:
     const transport::PublicationTicket::Lost lost_;
     transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> publisher_;
-    std::string signals_;
-    std::string messages_;
 };
 
 class ClientSessionServant;
@@ -144,14 +143,6 @@ class ClientGateServant final : public Axon::FrontEndComm::ClientGate {
     ClientLane& lane_;
 };
 
-/// How clients behind a router come in: makes their sessions, on the lanes' own adapters. All outlive what it
-/// returns.
-transport::RouterDoor doorForRouters(ClientLane& data,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
-                                     ClientLane& signal,
-                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
-                                     transport::RouterConnections& routers);
-
 /// Listens to the entity servers on one lane (thesis figure 3.14).
 class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {
   public:
@@ -173,6 +164,25 @@ class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndC
     FrontEndCore& core_;
     const Lane lane_;
     const Via via_;
+};
+
+/// What is the front-end server's own of its ServerRim.
+struct ClientSessions {
+    using Core = FrontEndCore;
+    using Topic = IceEntityTopic;
+    using Session = ClientSessionServant;
+    using SessionPrx = Axon::FrontEndComm::ClientSessionPrx;
+    using Gate = ClientGateServant;
+    using Listener = EntityToFrontEndServant;
+    static constexpr const char* kServer = "FrontEndServer";
+    static constexpr const char* kGate = "ClientGate";
+    static constexpr const char* kTimer = "axon-fe-timer";
+    static constexpr auto kVerify = &transport::Logins::client;
+    static constexpr auto kVouched = &transport::Logins::vouchedClient;
+    static std::shared_ptr<ClientSessionServant> make(ClientLane& lane,
+                                                      const std::shared_ptr<transport::PeerConnection>& peer,
+                                                      const transport::LoggedIn& who,
+                                                      const std::string& display_name);
 };
 
 }  // namespace axon::front_end_server

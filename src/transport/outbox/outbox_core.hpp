@@ -34,6 +34,13 @@ struct OutboxLimits {
     std::size_t control_bytes = 8 * 1024 * 1024;
     std::size_t control_messages = 16384;
     std::size_t signals_unsent = 4096;  ///< a stop for each of 2048 entities, twice
+
+    /// Of a connection of the signal lane: what a stop may have in front of it is less.
+    static constexpr OutboxLimits ofSignals() {
+        OutboxLimits limits;
+        limits.window_bytes = 64 * 1024;
+        return limits;
+    }
 };
 
 struct OutboxCounts {

@@ -62,9 +62,9 @@ struct SessionLane {
 };
 
 /// What a servant keeps of its session on one lane. `Ref` is the core's reference to it, `End` says how it
-/// ended. States: opened ─ adopt() ► ready ─ end() ► ended; end() may come first, also while the core is
-/// being told of the session. Threads: any. The servant answers only on the connection that opened the
-/// session.
+/// ended, and for people `why`. States: opened ─ adopt() ► ready ─ end() ► ended; end() may come first, also
+/// while the core is being told of the session. Threads: any. The servant answers only on the connection that
+/// opened the session.
 template <class Ref, class End>
 class LaneSession {
   public:
@@ -95,6 +95,21 @@ class LaneSession {
         }
         ready_ = true;
         if (ended) leave_(ref, *ended);  // the connection ended while the session was being set up
+    }
+    /// The peer ends its session itself.
+    void leave(End how, const Ice::Current& current) {
+        peer_->require(current);
+        const auto why = how.why;
+        end(std::move(how));
+        peer_->disconnect({false, why}, true);
+    }
+    /// Glacier2's destroy(), which a router calls for any end of its side: `whom` ("the client") is lost
+    /// then. From anybody else it is leave().
+    void destroy(End how, const std::string& whom, const Ice::Current& current) {
+        const auto routed = std::dynamic_pointer_cast<RoutedConnection>(peer_);
+        if (!routed) return leave(std::move(how), current);
+        routed->require(current);
+        routed->ended("the router ended its session: " + whom + " is gone, or silent");
     }
     /// Throws Ice::ObjectNotExistException when it is not ready, or the call came over another connection.
     const Ref& of(const Ice::Current& current) const {
@@ -174,23 +189,24 @@ std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
     return proxy;
 }
 
-/// How a gate answers open(): when the log-in is decided, the servant that `make(who)` returns is put behind
-/// a session proxy, and ends with its connection. For the data lane `ask(request, answer)`
-/// asks Logins.
-template <class SessionPrx, class Core, class Servant, class Make, class Ask>
-void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectConnection>& peer,
-                 LoginRequest request, std::function<void(const std::shared_ptr<SessionPrx>&)> opened,
-                 std::function<void(std::exception_ptr)> refused, const Ice::Current& current, Make make,
-                 Ask ask) {
+/// How a gate answers open(): when the log-in is decided, the servant that Kind::make returns (ServerRim) is
+/// put behind a session proxy, and ends with its connection.
+template <class Kind>
+void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane, LoginRequest request,
+                 std::string display_name,
+                 std::function<void(const std::shared_ptr<typename Kind::SessionPrx>&)> opened,
+                 std::function<void(std::exception_ptr)> refused, const Ice::Current& current) {
     if (const auto other = otherContract(current.ctx)) return refused(std::make_exception_ptr(toIce(*other)));
+    const auto peer = std::make_shared<DirectConnection>(current.con);
     request.peer = DirectConnection::peerOf(*peer->get());
     request.local = DirectConnection::localOf(*peer->get());
     request.certificate = certificateOf(*peer->get());
     Logins::Answer answer = [&lane, peer, adapter = current.adapter, opened = std::move(opened),
-                             refused = std::move(refused), make = std::move(make)](Result<LoggedIn> who) {
+                             refused = std::move(refused),
+                             display_name = std::move(display_name)](Result<LoggedIn> who) {
         try {
-            const std::shared_ptr<Servant> servant = make(valueOrThrow(std::move(who)));
-            auto proxy = addSession<SessionPrx, Core, Servant>(lane, peer, servant, adapter);
+            auto proxy = addSession<typename Kind::SessionPrx>(
+                lane, peer, Kind::make(lane, peer, valueOrThrow(std::move(who)), display_name), adapter);
             if (lane.lane == Lane::Signal) prepareSignalLane(*peer->get());
             opened(proxy);
         } catch (...) {
@@ -199,11 +215,11 @@ void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectC
     };
     if (lane.logins == nullptr) return answer(LoggedIn{});
     lane.sessions.asks(request.peer);
-    ask(*lane.logins, std::move(request),
-        [&lane, its_peer = request.peer, answer = std::move(answer)](Result<LoggedIn> who) {
-            answer(std::move(who));
-            lane.sessions.answered(its_peer);
-        });
+    (lane.logins->*Kind::kVerify)(std::move(request), [&lane, its_peer = request.peer,
+                                                       answer = std::move(answer)](Result<LoggedIn> who) {
+        answer(std::move(who));
+        lane.sessions.answered(its_peer);
+    });
 }
 
 }  // namespace axon::transport

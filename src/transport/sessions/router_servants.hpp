@@ -89,33 +89,30 @@ class CertificateSessionManagerServant final : public Glacier2::SSLSessionManage
     RouterDoor& door_;
 };
 
-/// The door of a server whose sessions `make(lane, peer, who, display name)` makes, a shared_ptr of the
-/// servant; they are put on the lanes' own adapters. `verify` and `vouched` are those of Logins for this kind
-/// of peer. All that is named outlives what it returns.
-template <class SessionPrx, class ItsLane, class Make>
-RouterDoor makeDoor(ItsLane& data, const std::shared_ptr<Ice::ObjectAdapter>& data_adapter, ItsLane& signal,
-                    const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter, RouterConnections& routers,
-                    void (Logins::*verify)(LoginRequest, Logins::Answer),
-                    Result<LoggedIn> (Logins::*vouched)(const std::string&,
-                                                        const std::optional<PeerCertificate>&),
-                    Make make) {
+/// The door of a server of this kind (ServerRim), whose sessions are put on the lanes' own adapters. All that
+/// is named outlives what it returns.
+template <class Kind>
+RouterDoor makeDoor(SessionLane<typename Kind::Core, typename Kind::Session>& data,
+                    const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
+                    SessionLane<typename Kind::Core, typename Kind::Session>& signal,
+                    const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter, RouterConnections& routers) {
     auto* const logins = data.logins;
     RouterDoor door{routers, {}, {}, {}, data.server, {}};
-    door.verify = [logins, verify](LoginRequest request, Logins::Answer answer) {
+    door.verify = [logins](LoginRequest request, Logins::Answer answer) {
         if (logins == nullptr) return answer(LoggedIn{});
-        (logins->*verify)(std::move(request), std::move(answer));
+        (logins->*Kind::kVerify)(std::move(request), std::move(answer));
     };
-    door.vouched = [logins, vouched](const std::string& user,
-                                     const std::optional<PeerCertificate>& certificate) -> Result<LoggedIn> {
+    door.vouched = [logins](const std::string& user,
+                            const std::optional<PeerCertificate>& certificate) -> Result<LoggedIn> {
         if (logins == nullptr) return LoggedIn{};
-        return (logins->*vouched)(user, certificate);
+        return (logins->*Kind::kVouched)(user, certificate);
     };
-    door.open = [&data, &signal, data_adapter, signal_adapter, make = std::move(make)](
+    door.open = [&data, &signal, data_adapter, signal_adapter](
                     Lane lane, const LoggedIn& who, const std::string& display_name,
                     const std::shared_ptr<RoutedConnection>& peer) -> std::shared_ptr<Glacier2::SessionPrx> {
         auto& its = lane == Lane::Signal ? signal : data;
-        return addSession<SessionPrx>(its, peer, make(its, peer, who, display_name),
-                                      lane == Lane::Signal ? signal_adapter : data_adapter);
+        return addSession<typename Kind::SessionPrx>(its, peer, Kind::make(its, peer, who, display_name),
+                                                     lane == Lane::Signal ? signal_adapter : data_adapter);
     };
     return door;
 }

@@ -17,6 +17,7 @@
 #include "common/snapshot.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/outbox/callback_sender.hpp"
+#include "transport/outbox/forward.hpp"
 
 namespace axon::transport {
 
@@ -45,7 +46,8 @@ class TopicPublisher {
         Places places;
         for (const auto& proxy : proxies) places.push_back({{}, proxy});
         store(data_, routes(*data_communicator_, places, "axon-topic", {}, {}));
-        store(signal_, routes(*signal_communicator_, places, "axon-topic-signal", signalLimits(), {}));
+        store(signal_,
+              routes(*signal_communicator_, places, "axon-topic-signal", OutboxLimits::ofSignals(), {}));
     }
     void reach(const std::vector<ServerAnnouncement>& neighbours) {
         Places signals;
@@ -55,8 +57,8 @@ class TopicPublisher {
             if (!neighbour.messages.empty()) messages.push_back({neighbour.name, neighbour.messages});
         }
         const std::lock_guard lock(changes_);
-        store(direct_,
-              routes(*signal_communicator_, signals, "axon-direct", signalLimits(), *direct_.load()));
+        store(direct_, routes(*signal_communicator_, signals, "axon-direct", OutboxLimits::ofSignals(),
+                              *direct_.load()));
         store(direct_data_,
               routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
     }
@@ -70,7 +72,8 @@ class TopicPublisher {
             for (auto& route : all) {
                 if (!route.sender->closed()) continue;
                 try {
-                    route.sender = sender(route.proxy, for_signals ? signalLimits() : OutboxLimits{});
+                    route.sender =
+                        sender(route.proxy, for_signals ? OutboxLimits::ofSignals() : OutboxLimits{});
                 } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
                     return;
                 }
@@ -78,6 +81,27 @@ class TopicPublisher {
             }
             if (changed) store(*list, std::move(all));
         }
+    }
+
+    /// Before anything is announced: where this server takes signals and messages directly, as stringified
+    /// proxies.
+    void setDirect(std::string signals, std::string messages) {
+        own_signals_ = std::move(signals);
+        own_messages_ = std::move(messages);
+    }
+    ice::ServerAnnouncement announcement(const ServerAnnouncement& self) const {
+        auto announced = toIce(self);
+        announced.signals = own_signals_;
+        announced.messages = own_messages_;
+        return announced;
+    }
+    /// What an announcement says, of about so many bytes: to all, by the topic; on the signal lane, as a
+    /// heartbeat, straight to each neighbour. Whose connection failed gets another one first.
+    template <class Call>
+    void announce(Lane lane, std::size_t bytes, const Call& call) {
+        reopen();
+        if (lane == Lane::Signal) return neighbours(Traffic::Heartbeat, std::size_t{0}, call);
+        data(Traffic::Control, bytes, call);
     }
 
     /// Over the topic. Arguments and result are those of CallbackSender::send.
@@ -137,11 +161,6 @@ class TopicPublisher {
     };
     using Routes = std::vector<Route>;
 
-    static OutboxLimits signalLimits() {
-        OutboxLimits limits;
-        limits.window_bytes = 64 * 1024;
-        return limits;
-    }
     static void store(Snapshot<Routes>& to, Routes routes) {
         to.store(std::make_shared<const Routes>(std::move(routes)));
     }
@@ -179,7 +198,8 @@ class TopicPublisher {
     const std::shared_ptr<Ice::Communicator> data_communicator_;
     const std::shared_ptr<Ice::Communicator> signal_communicator_;
     const std::string who_;
-    std::mutex changes_;  // of the lists, one at a time
+    std::string own_signals_, own_messages_;  // constant after setDirect()
+    std::mutex changes_;                      // of the lists, one at a time
     Snapshot<Routes> data_;
     Snapshot<Routes> signal_;
     Snapshot<Routes> direct_;
@@ -199,22 +219,31 @@ class PublicationTicket {
     PublicationTicket(const PublicationTicket&) = delete;
     PublicationTicket& operator=(const PublicationTicket&) = delete;
 
-    /// To be given to the call in place of `failed`, and then given() is to be called.
-    static std::function<void(std::exception_ptr)> watch(const std::shared_ptr<PublicationTicket>& ticket,
-                                                         std::function<void(std::exception_ptr)> failed) {
-        return [ticket, failed = std::move(failed)](std::exception_ptr error) {
-            ticket->fail();
-            failed(std::move(error));
+    /// The call (forward.hpp) of the message that this ticket is to follow.
+    template <class Call>
+    static auto follow(const std::shared_ptr<PublicationTicket>& ticket, Call call) {
+        return [ticket, call = std::move(call)](auto& prx, const ice::Header& head, const ByteRange& bytes,
+                                                Answered answered, Failed failed, Sent sent) {
+            call(
+                prx, head, bytes, std::move(answered),
+                [ticket, failed = std::move(failed)](std::exception_ptr error) {
+                    ticket->fail();
+                    failed(std::move(error));
+                },
+                std::move(sent));
+            ticket->given_ = true;
         };
     }
-    void given() { given_ = true; }
+    /// When it was published: whether nothing has become of it and nothing will, and nobody was told. The
+    /// caller says so then.
+    static bool returned(const std::shared_ptr<PublicationTicket>& ticket) {
+        return ticket.use_count() == 1 && !ticket->given_ && !ticket->settled_.exchange(true);
+    }
+
+  private:
     void fail() {
         if (!settled_.exchange(true)) lost_(head_);
     }
-    /// The caller says it instead. Whether there was anything to say.
-    bool take() { return !given_ && !settled_.exchange(true); }
-
-  private:
     const Lost& lost_;  // outlives the communicators
     const Header head_;
     std::atomic<bool> given_{false};
