@@ -264,7 +264,7 @@ TEST_F(Invoked, VerbsAboutWhatIsKeptSayThatNothingIs) {
     EXPECT_EQ(invoker.perform(*findVerb("tasks"), Json::object(), seen), kDone);
     EXPECT_EQ(seen.last("notice")->at("message"), "nothing is checked out here");
     EXPECT_EQ(invoker.perform(*findVerb("cancel"), {{"entity", "Cyton"}}, seen), kRefused);
-    EXPECT_EQ(seen.last("error")->at("mend"), "axon checkout Cyton");
+    EXPECT_EQ(seen.last("error")->at("mend"), "check it out first: axon checkout Cyton");
     EXPECT_EQ(invoker.perform(*findVerb("wait"), {{"task", {"3f2a"}}}, seen), kRefused)
         << "its end is not known";
     EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_TASK");

@@ -309,7 +309,7 @@ TEST(Words, NamesTheHolderAndTheMendOfARefusal) {
     EXPECT_EQ(event["holder"], "cl2@lab");
     EXPECT_THAT(event["mend"].get<std::string>(), HasSubstr("cl2@lab"));
     EXPECT_EQ(errorEvent({RefusalCode::Latched, "stopped", {}}, "Cyton Arm")["mend"],
-              "axon rearm 'Cyton Arm', when it is safe to move again");
+              "rearm it when it is safe to move again: axon rearm 'Cyton Arm'");
 }
 
 TEST(Words, SurvivesTextThatIsNoUtf8) {

@@ -325,11 +325,11 @@ TEST_F(View, SaysWhatAResetAndAClearHaveDone) {
 TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {
     shown({errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is not free", "cl2@lab"}, "PeopleBot")});
     EXPECT_EQ(out.str(), "");
-    EXPECT_EQ(
-        err.str(),
-        "axon: PeopleBot is not free (ALREADY_HELD)\n"
-        "held by: cl2@lab\n"
-        "mend: ask cl2@lab for it: axon checkout PeopleBot --ask REASON; or wait until it is free: --wait\n");
+    EXPECT_EQ(err.str(),
+              "axon: PeopleBot is not free (ALREADY_HELD)\n"
+              "held by: cl2@lab\n"
+              "mend: ask cl2@lab for it: axon checkout PeopleBot --ask REASON; or wait until it is free: "
+              "axon checkout PeopleBot --wait\n");
 }
 
 TEST_F(View, ShowsSamplesAsPeopleReadThem) {

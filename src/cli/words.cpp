@@ -6,6 +6,8 @@
 #include <set>
 #include <utility>
 
+#include "common/refusal.hpp"
+
 namespace axon::cli {
 namespace {
 
@@ -42,51 +44,10 @@ Json milliseconds(const std::optional<Seconds>& time) {
     return time ? Json(time->count() * 1000) : Json(nullptr);
 }
 
-std::string mendFor(const Refusal& refusal, const std::string& entity) {
-    const auto x = entity.empty() ? std::string("ENTITY") : shellWord(entity);
-    switch (refusal.code) {
-        case RefusalCode::AlreadyHeld:
-        case RefusalCode::Reserved:
-            return refusal.holder.empty()
-                       ? "axon ls shows who holds it; wait for it with: axon checkout " + x + " --wait"
-                       : "ask " + refusal.holder + " for it: axon checkout " + x +
-                             " --ask REASON; or wait until it is free: --wait";
-        case RefusalCode::HandOverRefused:
-            return "wait until it is free: axon checkout " + x + " --wait";
-        case RefusalCode::Latched:
-            return "axon rearm " + x + ", when it is safe to move again";
-        case RefusalCode::NotHolder:
-            return "axon checkout " + x;
-        case RefusalCode::OlderLease:
-        case RefusalCode::RevokedLease:
-        case RefusalCode::WrongEpoch:
-            return "the check-out was lost: axon checkout " + x + " again";
-        case RefusalCode::UnknownEntity:
-            return "axon ls shows what there is";
-        case RefusalCode::UnknownService:
-        case RefusalCode::UnknownParameter:
-        case RefusalCode::UnknownResource:
-        case RefusalCode::WrongType:
-        case RefusalCode::WrongUnits:
-        case RefusalCode::OutOfRange:
-        case RefusalCode::InactiveService:
-            return "axon info " + x + " shows the services and what they take";
-        case RefusalCode::MissingDependency:
-            return "give the parameters to axon run, or once with axon set; files with axon upload";
-        case RefusalCode::UnknownTask:
-            return "axon tasks shows the tasks that are known here";
-        case RefusalCode::Blocked:
-        case RefusalCode::QueueFull:
-            return "axon tasks shows what is running; axon cancel " + x + " ends it";
-        case RefusalCode::NotConnected:
-            return "axon doctor shows what is wrong";
-        case RefusalCode::Unavailable:
-            return "axon doctor shows what is wrong with it, and what to do";
-        case RefusalCode::RobotLost:
-            return "look at the robot: its application lives, and the robot does not answer it";
-        default:
-            return {};
-    }
+/// What a person can do about it; empty where the message says it.
+std::string fixFor(const Refusal& refusal, const std::string& entity) {
+    return remedyFor(refusal.code, entity.empty() ? "ENTITY" : shellWord(entity),
+                     refusal.holder.empty() ? "its holder" : refusal.holder);
 }
 
 }  // namespace
@@ -361,7 +322,7 @@ Json toJson(const HandOverRequest& request, const std::string& entity, const std
 Json errorEvent(const Refusal& refusal, const std::string& entity) {
     Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
     if (!refusal.holder.empty()) json["holder"] = refusal.holder;
-    if (const auto mend = mendFor(refusal, entity); !mend.empty()) json["mend"] = mend;
+    if (const auto fix = fixFor(refusal, entity); !fix.empty()) json["mend"] = fix;
     return json;
 }
 
@@ -385,21 +346,7 @@ Json noServerEvent(const Refusal& refusal, const std::string& server) {
 }
 
 int exitOf(const Refusal& refusal) {
-    switch (refusal.code) {
-        case RefusalCode::Ok:
-            return kDone;
-        case RefusalCode::NotConnected:
-            return kNoServer;
-        case RefusalCode::TimedOut:
-        case RefusalCode::OutcomeUnknown:
-            return kNotConfirmed;
-        case RefusalCode::Stopped:
-        case RefusalCode::Cancelled:
-        case RefusalCode::ClientLost:
-            return kStopped;
-        default:
-            return kRefused;
-    }
+    return refusalEntry(refusal.code).exit;
 }
 
 int exitOf(TaskState state, const Refusal& reason) {

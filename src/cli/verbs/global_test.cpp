@@ -254,7 +254,7 @@ TEST_F(Global, DetachNeedsCheckOutsThatOutliveIt) {
 TEST_F(Global, WhoOnlyNeedsARearmIsNamed) {
     station->in_the_way = {{RefusalCode::Latched, "was stopped", {}}};
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}}), kRefused);
-    EXPECT_EQ(seen.last("error")->at("mend"), "axon rearm Cyton, when it is safe to move again");
+    EXPECT_EQ(seen.last("error")->at("mend"), "rearm it when it is safe to move again: axon rearm Cyton");
 }
 
 TEST_F(Global, CheckPrintsEveryProblemWithItsMend) {
@@ -267,12 +267,13 @@ TEST_F(Global, CheckPrintsEveryProblemWithItsMend) {
     EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "check", "release", "release"));
     const auto& problems = seen.events.back()["problems"];
     EXPECT_EQ(problems[0]["service"], "grab");
-    EXPECT_EQ(problems[0]["mend"], "axon info Cyton shows the services and what they take");
+    EXPECT_EQ(problems[0]["mend"], "wait until it is active again; see why it is not: axon info Cyton");
     EXPECT_EQ(problems[1]["step"], nullptr);
     const auto text = shown();
     EXPECT_THAT(text, HasSubstr("✗ Fetch ball would not go\n"));
-    EXPECT_THAT(text, HasSubstr("  ✗ step 2 (grab) Cyton: grab is not active (INACTIVE_SERVICE)\n"
-                                "      mend: axon info Cyton"));
+    EXPECT_THAT(text,
+                HasSubstr("  ✗ step 2 (grab) Cyton: grab is not active (INACTIVE_SERVICE)\n"
+                          "      mend: wait until it is active again; see why it is not: axon info Cyton"));
     EXPECT_THAT(text, HasSubstr("  ✗ role 3 has no step (MALFORMED)"));
 }
 
