@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "axon/client.hpp"
+#include "cli/common_options.hpp"
 #include "cli/password.hpp"
 #include "messages/text.hpp"
 
@@ -154,6 +155,24 @@ void declare(CLI::App& app, const Verb& verb, Json& args) {
     }
 }
 
+void declareCommon(CLI::App& app, Settings& settings) {
+    for (const auto& option : commonOptions()) {
+        const auto name = std::string("--") + option.name;
+        const auto help = helpOf(option, settings);
+        if (const auto* text = std::get_if<std::string Settings::*>(&option.setting)) {
+            app.add_option(name, settings.*(*text), help)->type_name(option.placeholder);
+        } else if (const auto* number = std::get_if<double Settings::*>(&option.setting)) {
+            app.add_option(name, settings.*(*number), help)
+                ->check(CLI::Range(0.01, 3600.0).description(""))
+                ->type_name(option.placeholder);
+        } else {
+            const auto flag = std::get<bool Settings::*>(option.setting);
+            app.add_flag_callback(
+                name, [&settings, flag] { settings.*flag = !(Settings{}.*flag); }, help);
+        }
+    }
+}
+
 /// What is wrong with one of them, or an empty text.
 std::string readMaybeDurations(const CLI::App& app, const Verb& verb, Json& args) {
     for (const auto& option : verb.options) {
@@ -265,16 +284,16 @@ Parsed parseCommandLine(std::vector<std::string> words,
     Parsed parsed;
     CommandLine line;
     const auto from = [&](const char* name, std::string& setting) {
-        const char* value = environment(name);
+        const char* value = *name == '\0' ? nullptr : environment(name);
         if (value != nullptr && *value != '\0') setting = value;
     };
-    from("AXON_SERVER", line.settings.server);
+    for (const auto& option : commonOptions()) {
+        if (const auto* text = std::get_if<std::string Settings::*>(&option.setting))
+            from(option.environment, line.settings.*(*text));
+    }
+    from("AXON_PASSWORD", line.settings.password);
     const auto* named_server = environment("AXON_SERVER");
     bool server_said = named_server != nullptr && *named_server != '\0';
-    from("AXON_CONFIG", line.settings.config);
-    from("AXON_USER", line.settings.user);
-    from("AXON_PASSWORD", line.settings.password);
-    from("AXON_PASSWORD_FILE", line.settings.password_file);
 
     // The words of somebody else's half-written line: nothing of them is an option of ours.
     if (!words.empty() && words.front() == "__complete") {
@@ -305,30 +324,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
     formatter->column_width(24);
     app.formatter(formatter);
     app.footer(kRootFooter);
-    auto* server_option = app.add_option("--server", line.settings.server,
-                                         "Where the server is (AXON_SERVER; " + line.settings.server +
-                                             "), or the proxy of a router")
-                              ->type_name("HOST:PORT");
-    auto* config_option =
-        app.add_option("--config", line.settings.config,
-                       "client.cfg (AXON_CONFIG): the router or server, who you are, certificates")
-            ->type_name("FILE");
-    app.add_flag("--json", line.settings.json, "Lines of JSON instead of text");
-    app.add_option("--timeout", line.settings.timeout_s, "How long a request may take (5)")
-        ->check(CLI::Range(0.01, 3600.0).description(""))
-        ->type_name("SECONDS");
-    app.add_option("--user", line.settings.user,
-                   "Who you are to the server (AXON_USER); the password is AXON_PASSWORD, or in a file, or "
-                   "asked for")
-        ->type_name("USER");
-    app.add_option("--password-file", line.settings.password_file,
-                   "A file of mode 0600 with your password (AXON_PASSWORD_FILE)")
-        ->type_name("FILE");
-    app.add_option("--name", line.settings.name, "What others see as the holder (user@host)")
-        ->type_name("NAME");
-    bool no_direct = false;
-    app.add_flag("--no-direct", no_direct,
-                 "Everything by the servers, nothing straight to the Entity Managers");
+    declareCommon(app, line.settings);
     app.set_version_flag("--version", std::string("axon ") + AXON_VERSION);
     // A plain list of verbs, not each one's whole help.
     std::map<std::string, CLI::App*> groups;
@@ -375,7 +371,6 @@ Parsed parseCommandLine(std::vector<std::string> words,
         parsed.exit = kUsage;
         return parsed;
     }
-    line.settings.direct = !no_direct;
     const auto* sub = app.get_subcommands().front();
     while (!sub->get_subcommands().empty()) sub = sub->get_subcommands().front();
     line.verb = findVerb(nameOf(*sub));
@@ -383,8 +378,8 @@ Parsed parseCommandLine(std::vector<std::string> words,
     const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor";
     const bool finds_agent = connects || std::string_view(line.verb->name) == "agent";
     if (wrong_option.empty() && !line.settings.config.empty() && finds_agent) {
-        if (config_option->count() > 0) server_said = false;
-        if (server_option->count() > 0) server_said = true;
+        if (app.get_option("--config")->count() > 0) server_said = false;
+        if (app.get_option("--server")->count() > 0) server_said = true;
         wrong_option = readConfig(line.settings, server_said);
     }
     if (wrong_option.empty() && connects && line.settings.password.empty() &&

@@ -20,6 +20,7 @@
 
 #include "cli/agent.hpp"
 #include "cli/agent_link.hpp"
+#include "cli/common_options.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/text.hpp"
@@ -160,12 +161,8 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
     if (::pipe2(ends, O_CLOEXEC) != 0) return usageEvent(std::string("no pipe: ") + std::strerror(errno));
     Descriptor reading(ends[0]);
     Descriptor writing(ends[1]);
-    std::vector<std::string> words{
-        "axon", "agent", "run", "--server", settings.server, "--timeout", std::to_string(settings.timeout_s)};
-    if (!settings.config.empty()) words.insert(words.end(), {"--config", settings.config});
-    if (!settings.user.empty()) words.insert(words.end(), {"--user", settings.user});
-    if (!settings.name.empty()) words.insert(words.end(), {"--name", settings.name});
-    if (!settings.direct) words.emplace_back("--no-direct");
+    auto words = wordsForAgent(settings);
+    words.insert(words.begin(), {"axon", "agent", "run"});
     auto pointers = pointersTo(words);
     posix_spawn_file_actions_t actions;
     ::posix_spawn_file_actions_init(&actions);

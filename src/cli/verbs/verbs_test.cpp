@@ -662,7 +662,7 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "wait", "ab"}), "abcdef00");
     EXPECT_EQ(offered({"axon", "cancel", "Cyton", ""}), "abcdef00");
     EXPECT_EQ(offered({"axon", "cancel", "PeopleBot#1", ""}), "");
-    EXPECT_EQ(offered({"axon", "tasks", "--f"}), "--for\n--follow");
+    EXPECT_EQ(offered({"axon", "tasks", "--f"}), "--follow\n--for");
     EXPECT_EQ(offered({"axon", "checkout", "--wait", "Cy"}), "Cyton") << "--wait takes no word of its own";
     EXPECT_EQ(offered({"axon", "checkout", "Cyton", "--hand-over", ""}), "ask\nyield\nrefuse");
     EXPECT_EQ(offered({"axon", "handover", "Cyton", ""}), "accept\nrefuse");
