@@ -17,13 +17,13 @@ namespace axon::cli {
 namespace {
 
 constexpr const char* kRootFooter =
-    "\nTo begin:\n"
-    "  axon ls                                    what is there?\n"
-    "  axon info PeopleBot                        what can it do?\n"
-    "  axon run PeopleBot Driving Distance=1000   do it\n"
-    "  axon stop PeopleBot                        stop it, at any time, whoever holds it\n"
-    "  axon checkout PeopleBot                    keep it for yourself\n"
-    "  axon checkout --query '1 ROBOT/MOBILE'     whichever is free\n"
+    "\nGet started:\n"
+    "  axon ls                                    list the entities\n"
+    "  axon info PeopleBot                        show what it can do\n"
+    "  axon run PeopleBot Driving Distance=1000   run a task\n"
+    "  axon stop PeopleBot                        stop it at any time, whoever holds it\n"
+    "  axon checkout PeopleBot                    check it out until axon release\n"
+    "  axon checkout --query '1 ROBOT/MOBILE'     check out any that is free\n"
     "axon VERB --help shows more. Exit status: 0 done, 1 refused or failed, 2 usage, 3 no server,\n"
     "4 not confirmed, 5 stopped or cancelled, 130 interrupted.";
 
@@ -35,8 +35,9 @@ std::string placeholder(const Operand& operand) {
     return text;
 }
 
-std::string usageOf(const Verb& verb) {
-    std::string text = std::string("Usage: axon ") + verb.name;
+/// "axon run ENTITY SERVICE [PARAMETER=VALUE…] [OPTIONS]".
+std::string synopsisOf(const Verb& verb) {
+    std::string text = std::string("axon ") + verb.name;
     for (const auto& operand : verb.operands) {
         auto word = placeholder(operand);
         if (operand.repeated) word += "…";
@@ -72,7 +73,7 @@ class HelpFormatter final : public CLI::Formatter {
         const auto* verb = findVerb(nameOf(*app));
         if (const auto group = nameOf(*app); findGroup(group) != nullptr)
             return "Usage: axon " + group + " VERB [OPTIONS]\n";
-        return verb != nullptr ? usageOf(*verb) + "\n" : CLI::Formatter::make_usage(app, name);
+        return verb != nullptr ? "Usage: " + synopsisOf(*verb) + "\n" : CLI::Formatter::make_usage(app, name);
     }
 };
 
@@ -250,8 +251,8 @@ std::vector<std::string> withoutOptions(const CLI::App& app, const std::vector<s
 
 std::string mistake(const std::vector<std::string>& words, const std::string& what) {
     const auto first = words.begin();
-    if (first == words.end()) return "axon: " + what + "\nmend: axon --help\n";
-    if (const auto* verb = verbIn(words)) return "axon: " + what + "\nmend: " + usageOf(*verb) + "\n";
+    if (first == words.end()) return "axon: " + what + "\nfix: axon --help shows the verbs\n";
+    if (const auto* verb = verbIn(words)) return "axon: " + what + "\nfix: " + synopsisOf(*verb) + "\n";
     std::vector<std::string_view> names;
     if (const auto* group = findGroup(*first)) {
         const std::string before = std::string(group->name) + " ";
@@ -262,7 +263,7 @@ std::string mistake(const std::vector<std::string>& words, const std::string& wh
         }
         const auto wanted = second == words.end() ? std::string() : *second;
         const auto near = nearNames(wanted, names);
-        return "axon: " + (wanted.empty() ? what : before + "has no verb " + inQuotes(wanted)) + "\nmend: " +
+        return "axon: " + (wanted.empty() ? what : "unknown verb " + inQuotes(before + wanted)) + "\nfix: " +
                (near.empty() ? "axon " + before + "--help shows the verbs"
                              : "did you mean " + alternatives(near) + "?") +
                "\n";
@@ -273,7 +274,7 @@ std::string mistake(const std::vector<std::string>& words, const std::string& wh
     }
     for (const auto& group : verbGroups()) names.emplace_back(group.name);
     const auto near = nearNames(*first, names);
-    return "axon: there is no verb " + inQuotes(*first) + "\nmend: " +
+    return "axon: unknown verb " + inQuotes(*first) + "\nfix: " +
            (near.empty() ? "axon --help shows the verbs" : "did you mean " + alternatives(near) + "?") + "\n";
 }
 
@@ -345,7 +346,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
         sub->fallthrough();
         if (*verb->examples != '\0')
             sub->footer(std::string("Examples:\n") + verb->examples +
-                        "\nOptions of every verb (--server, --json, …): axon --help");
+                        "\naxon --help shows the options that all verbs share (--server, --json, …).");
         if (verb->hidden) sub->group("");
         declare(*sub, *verb, line.args);
     }
@@ -392,19 +393,19 @@ Parsed parseCommandLine(std::vector<std::string> words,
         }
     }
     if (!wrong_option.empty()) {
-        parsed.err = "axon: " + wrong_option + "\nmend: " + usageOf(*line.verb) + "\n";
+        parsed.err = "axon: " + wrong_option + "\nfix: " + synopsisOf(*line.verb) + "\n";
         parsed.exit = kUsage;
         return parsed;
     }
     if (!isServer(line.settings.server)) {
         parsed.err = "axon: expected --server HOST:PORT, found " + inQuotes(line.settings.server) +
-                     "\nmend: for example --server 127.0.0.1:10410\n";
+                     "\nfix: for example --server 127.0.0.1:10410\n";
         parsed.exit = kUsage;
         return parsed;
     }
     if (line.verb->prepare != nullptr) {
         if (const auto wrong = line.verb->prepare(line.args); !wrong.empty()) {
-            parsed.err = "axon: " + wrong + "\nmend: " + usageOf(*line.verb) + "\n";
+            parsed.err = "axon: " + wrong + "\nfix: " + synopsisOf(*line.verb) + "\n";
             parsed.exit = kUsage;
             return parsed;
         }

@@ -207,12 +207,12 @@ void PersonView::show(const Json& event) {
     if (kind == "global_service") return showGlobalService(event);
     if (kind == "binding") return showBinding(event);
     if (kind == "run") return showRun(event);
-    if (kind == "run_begun") return say(textOf(event, "service") + " runs");
+    if (kind == "run_begun") return say(textOf(event, "service") + " is running");
     if (kind == "runs") return showRuns(event);
     if (kind == "run_record") return showRunRecord(event);
     if (kind == "uploaded") {
-        return say(paint("✓", Tint::Green) + " " + textOf(event, "entity") + " has " +
-                   textOf(event, "resource") + " of " + textOf(event, "service"));
+        return say(paint("✓", Tint::Green) + " " + textOf(event, "resource") + " of " +
+                   textOf(event, "service") + " was uploaded to " + textOf(event, "entity"));
     }
     if (kind == "set") {
         const auto units = textOf(event, "units");
@@ -235,9 +235,9 @@ void PersonView::show(const Json& event) {
         wipe();
         auto why = textOf(event, "message");
         if (why.ends_with('.')) why.pop_back();
-        err_ << paint(
-                    "axon: " + why + "; " + textOf(event, "entity") + " stands still and is kept for a while",
-                    Tint::Yellow)
+        err_ << paint("axon: " + why + "; " + textOf(event, "entity") +
+                          " stands still and stays yours for a while",
+                      Tint::Yellow)
              << '\n'
              << std::flush;
         return;
@@ -265,7 +265,7 @@ void PersonView::show(const Json& event) {
                          Tint::Yellow));
     }
     if (kind == "watching") {
-        if (terminal_.live) say(paint("watching " + textOf(event, "entity") + ", Ctrl-C ends it", Tint::Dim));
+        if (terminal_.live) say(paint("watching " + textOf(event, "entity") + "; Ctrl-C ends it", Tint::Dim));
         return;
     }
     if (kind == "sent") {
@@ -276,9 +276,9 @@ void PersonView::show(const Json& event) {
     if (kind == "done") {
         static const std::pair<const char*, const char*> kSaid[] = {
             {"rearm", "is rearmed and takes tasks again"},
-            {"pause", "is to pause"},
-            {"resume", "is to go on"},
-            {"cancel", "is to end"}};
+            {"pause", "will pause"},
+            {"resume", "will continue"},
+            {"cancel", "will be cancelled"}};
         if (const auto verb = event.value("verb", ""); verb == "reset" || verb == "clear")
             return showCommand(event);
         if (event.value("verb", "") == "handover") {
@@ -354,39 +354,41 @@ void PersonView::showEntity(const Json& event) {
     }
     if (entity.value("yours", false))
         out_ << "  "
-             << paint(entity.value("direct", false) ? "messages go straight to its Entity Manager"
-                                                    : "messages go by the servers",
+             << paint(entity.value("direct", false) ? "messages go directly to its Entity Manager"
+                                                    : "messages go through the servers",
                       Tint::Dim)
              << '\n';
     if (entity.value("latched", false)) {
-        out_ << "  " << paint("stopped: refuses tasks until axon rearm " + shellWord(call), Tint::Yellow)
+        out_ << "  " << paint("stopped: it refuses tasks until axon rearm " + shellWord(call), Tint::Yellow)
              << '\n';
     }
     if (const auto reason = textOf(entity, "reason"); !reason.empty())
         out_ << "  " << paint(reason, Tint::Red) << '\n';
     if (entity.value("orphaned", false)) {
         out_ << "  "
-             << paint("its holder is lost; it stands still and is free when the holder is not back in time",
-                      Tint::Yellow)
+             << paint(
+                    "its holder has lost the connection; it stands still, and becomes free if the holder "
+                    "does not come back in time",
+                    Tint::Yellow)
              << '\n';
     }
     if (const auto waiting = entity.value("waiting", 0); waiting > 0)
-        out_ << "  " << waiting << (waiting == 1 ? " waits" : " wait") << " for it\n";
+        out_ << "  " << waiting << (waiting == 1 ? " client is" : " clients are") << " waiting for it\n";
     if (const auto latency = entity.value("stop_latency_ms", Json()); latency.is_number())
-        out_ << "  stop latency " << stageText(latency) << " (the servers' last drill)\n";
+        out_ << "  stop latency " << stageText(latency) << " (from the last drill of the servers)\n";
     for (const auto& margin : event.value("watchdogs", Json::array())) {
         const auto timeout = margin.value("timeout_ms", 0.0);
         const auto gap = margin.value("longest_gap_ms", 0.0);
         const bool near = timeout > 0 && gap > timeout / 2;
         out_ << "  "
-             << paint(fmt::format("dead-man {}: stops after {}, longest gap of the last minute {}",
+             << paint(fmt::format("watchdog {}: stops after {} of silence, longest gap in the last minute {}",
                                   textOf(margin, "hop"), stageText(timeout), stageText(gap)),
                       near ? Tint::Yellow : Tint::Dim)
              << '\n';
     }
     for (const auto& finding : event.value("findings", Json::array())) {
         out_ << "  " << paint(textOf(finding, "message"), Tint::Yellow) << '\n';
-        if (const auto mend = textOf(finding, "mend"); !mend.empty()) out_ << "    mend: " << mend << '\n';
+        if (const auto fix = textOf(finding, "fix"); !fix.empty()) out_ << "    fix: " << fix << '\n';
     }
     if (const auto descr = textOf(entity, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
     out_ << fmt::format("  at {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
@@ -411,7 +413,7 @@ void PersonView::showEntity(const Json& event) {
         }
         if (textOf(service, "type") == "CMPLX")
             out_ << "; composite of " << valuesText(service.value("parts", Json::array()));
-        if (!service.value("blocking", true)) out_ << "; runs beside others";
+        if (!service.value("blocking", true)) out_ << "; runs beside other tasks";
         if (service.value("pausable", false)) out_ << "; pausable";
         out_ << '\n';
         if (const auto descr = textOf(service, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
@@ -475,7 +477,7 @@ void PersonView::showTask(const Json& event) {
         if (const auto& reason = event.at("reason"); !good && reason.is_object()) {
             Refusal refusal{RefusalCode::Ok, reason.value("message", ""), reason.value("holder", "")};
             Json error{{"event", "error"}, {"code", reason.value("code", "")}, {"message", refusal.message}};
-            if (event.contains("mend")) error["mend"] = event["mend"];
+            if (event.contains("fix")) error["fix"] = event["fix"];
             showError(error);
         } else if (!good && !feedback.empty()) {
             out_ << "  " << feedback << '\n';
@@ -516,7 +518,7 @@ void PersonView::showTask(const Json& event) {
 void PersonView::showTasks(const Json& event) {
     const auto& list = event.at("tasks");
     const auto forgotten = event.value("forgotten", std::size_t{0});
-    if (list.empty() && forgotten == 0) return say("no tasks were begun here");
+    if (list.empty() && forgotten == 0) return say("no tasks were started here");
     Table table({"ID", "ENTITY", "SERVICE", "STATE", "PROGRESS", "REASON"});
     for (const auto& task : list) {
         const auto state = textOf(task, "state");
@@ -533,8 +535,8 @@ void PersonView::showTasks(const Json& event) {
     wipe();
     out_ << table.text(terminal_.colour);
     if (forgotten > 0)
-        out_ << paint(fmt::format("{} older {} over and no longer listed", forgotten,
-                                  forgotten == 1 ? "is" : "are"),
+        out_ << paint(fmt::format("{} older {} ended and {} no longer listed", forgotten,
+                                  forgotten == 1 ? "task has" : "tasks have", forgotten == 1 ? "is" : "are"),
                       Tint::Dim)
              << '\n';
     out_ << std::flush;
@@ -554,13 +556,13 @@ void PersonView::showCommand(const Json& event) {
     };
     const int ended = event.value("tasks_ended", 0);
     const int removed = event.value("tasks_removed", 0);
-    auto said = textOf(event, "entity") + (ended > 0 ? " has ended " + tasks(ended) : " ran no task");
+    auto said = textOf(event, "entity") + (ended > 0 ? " has ended " + tasks(ended) : " was running no task");
     if (event.value("verb", "") == "clear")
-        said += removed > 0 ? fmt::format(", and {} that waited {} removed", tasks(removed),
-                                          removed == 1 ? "is" : "are")
-                            : ", and none waited";
+        said += removed > 0
+                    ? fmt::format(", and removed {} waiting {}", removed, removed == 1 ? "task" : "tasks")
+                    : ", and none was waiting";
     else if (ended > 0)
-        said += "; the next one that waits begins";
+        said += "; the next waiting task starts";
     say(said);
     if (!event.value("confirmed", true))
         err_ << paint("axon: its stop callback has not returned yet: look at the robot", Tint::Red) << '\n'
@@ -593,7 +595,7 @@ void PersonView::showReceipts(const Json& event) {
     for (const auto& receipt : list)
         if (const auto fault = textOf(receipt, "fault"); !fault.empty())
             err_ << paint("axon: the stop callback of " + textOf(receipt, "call") +
-                              " is called again and again: " + fault,
+                              " fails and is called again: " + fault,
                           Tint::Red)
                  << '\n';
     for (const auto& receipt : list) {
@@ -601,15 +603,14 @@ void PersonView::showReceipts(const Json& event) {
         if (lost.empty()) continue;
         const auto since = receipt.at("application_lost_s");
         err_ << paint("axon: " + textOf(receipt, "call") +
-                          " may be moving: its robot application was there and cannot be "
-                          "reached" +
-                          (since.is_number() ? fmt::format(" since {:.1f} s", since.get<double>()) : "") +
+                          " may be moving: its robot application has not been reachable" +
+                          (since.is_number() ? fmt::format(" for {:.1f} s", since.get<double>()) : "") +
                           ": " + lost,
                       Tint::Red)
              << '\n';
     }
     if (!event.value("confirmed", false)) {
-        err_ << paint("axon: not every stop is confirmed: go and look, use the emergency stop of the robot",
+        err_ << paint("axon: not every stop is confirmed: look at the robots, and use their emergency stops",
                       Tint::Red)
              << '\n'
              << std::flush;
@@ -628,7 +629,7 @@ void PersonView::showCheckedOut(const Json& event) {
     const auto& entities = event.at("entities");
     const auto already = event.value("already", Json::array());
     if (!already.empty())
-        say(names(already) + (already.size() == 1 ? " is yours already" : " are yours already"));
+        say(names(already) + (already.size() == 1 ? " is already yours" : " are already yours"));
     if (entities.empty()) return;
     const std::string are = entities.size() == 1 ? " is" : " are";
     if (event.contains("for")) {
@@ -655,7 +656,7 @@ void PersonView::showFinding(const Json& event) {
                       : level == "warn" ? paint("!", Tint::Yellow)
                                         : paint("✗", Tint::Red);
     say(mark + " " + textOf(event, "name") + ": " + textOf(event, "message"));
-    if (const auto mend = textOf(event, "mend"); !mend.empty()) say("    mend: " + mend);
+    if (const auto fix = textOf(event, "fix"); !fix.empty()) say("    fix: " + fix);
 }
 
 void PersonView::showCertificates(const Json& list) {
@@ -692,7 +693,7 @@ void PersonView::showHandOver(const Json& event) {
     wipe();
     const auto entity = textOf(event, "entity");
     if (event.value("withdrawn", false)) {
-        say(textOf(event, "by") + " does not ask for " + entity + " any more");
+        say(textOf(event, "by") + " no longer asks for " + entity);
         return;
     }
     const auto reason = textOf(event, "reason");
@@ -703,11 +704,12 @@ void PersonView::showHandOver(const Json& event) {
     const auto answer = textOf(event, "answer");
     const bool yield = event.value("yield", false);
     if (answer.empty()) {
-        err_ << "\nnobody can answer for this command: it " << (yield ? "is handed over" : "is refused")
-             << (within > 0 ? " after " + duration(within) : "") << '\n';
+        err_ << "\nnobody can answer for this command: " << entity << " "
+             << (yield ? "is handed over" : "stays here") << (within > 0 ? " after " + duration(within) : "")
+             << '\n';
     } else {
         err_ << "\nanswer" << (within > 0 ? " within " + duration(within) : "") << ": " << answer
-             << " accept, or refuse; silence " << (yield ? "hands it over" : "refuses") << '\n';
+             << " accept, or refuse; no answer " << (yield ? "hands it over" : "refuses") << '\n';
     }
     err_ << std::flush;
 }
@@ -721,7 +723,7 @@ void PersonView::showDrill(const Json& event) {
     if (event.value("no_application", false))
         out_ << "; " << paint("no robot application is linked", Tint::Yellow);
     out_ << '\n';
-    Table table({"TO AND BACK", "N", "P50", "P90", "P99", "P99.9", "MAX", "NEVER"}, 2);
+    Table table({"ROUND TRIP", "N", "P50", "P90", "P99", "P99.9", "MAX", "NEVER"}, 2);
     for (const auto& [name, part] : {std::pair<const char*, const Json&>{"manager", manager},
                                      std::pair<const char*, const Json&>{"robot application", callback}}) {
         if (part.value("n", 0) == 0) continue;
@@ -755,9 +757,9 @@ void PersonView::showDrill(const Json& event) {
 }
 
 void PersonView::showAgent(const Json& event) {
-    if (!event.value("running", false)) return say("nothing is kept here: no agent is running");
-    say(fmt::format("agent {} of {} keeps the session {}", event.value("pid", 0), textOf(event, "server"),
-                    textOf(event, "self")) +
+    if (!event.value("running", false)) return say("no agent is running, and nothing is checked out here");
+    say(fmt::format("agent {} keeps the session {} at {}", event.value("pid", 0), textOf(event, "self"),
+                    textOf(event, "server")) +
         (event.value("connected", false) ? "" : paint(", which is NOT CONNECTED", Tint::Red)));
     for (const auto& entity : event.at("held"))
         say("  holds " + textOf(entity, "call") + "  " +
@@ -781,7 +783,7 @@ void PersonView::showError(const Json& event) {
         !holder.empty() && message.find(holder) == std::string::npos) {
         err_ << "held by: " << holder << '\n';
     }
-    if (const auto mend = textOf(event, "mend"); !mend.empty()) err_ << "mend: " << mend << '\n';
+    if (const auto fix = textOf(event, "fix"); !fix.empty()) err_ << "fix: " << fix << '\n';
     err_ << std::flush;
 }
 

@@ -135,7 +135,7 @@ Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elap
     event["elapsed_s"] = elapsed.count();
     if (!report.reason.ok()) {
         const auto error = errorEvent(report.reason, entity);
-        if (error.contains("mend")) event["mend"] = error["mend"];
+        if (error.contains("fix")) event["fix"] = error["fix"];
     }
     return event;
 }
@@ -197,7 +197,7 @@ Json toJson(const RunReport& report) {
             if (problem.entity.empty()) json["entity"] = step.name;
         }
         const auto error = errorEvent(problem.refusal, json["entity"].get<std::string>());
-        for (const auto* member : {"code", "message", "holder", "mend"}) {
+        for (const auto* member : {"code", "message", "holder", "fix"}) {
             if (error.contains(member)) json[member] = error[member];
         }
         problems.push_back(std::move(json));
@@ -322,13 +322,13 @@ Json toJson(const HandOverRequest& request, const std::string& entity, const std
 Json errorEvent(const Refusal& refusal, const std::string& entity) {
     Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
     if (!refusal.holder.empty()) json["holder"] = refusal.holder;
-    if (const auto fix = fixFor(refusal, entity); !fix.empty()) json["mend"] = fix;
+    if (const auto fix = fixFor(refusal, entity); !fix.empty()) json["fix"] = fix;
     return json;
 }
 
-Json usageEvent(const std::string& message, const std::string& mend) {
+Json usageEvent(const std::string& message, const std::string& fix) {
     Json json{{"event", "error"}, {"code", "USAGE"}, {"message", message}};
-    if (!mend.empty()) json["mend"] = mend;
+    if (!fix.empty()) json["fix"] = fix;
     return json;
 }
 
@@ -336,11 +336,12 @@ Json noServerEvent(const Refusal& refusal, const std::string& server) {
     Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
     if (json["message"].get_ref<const std::string&>().empty()) json["message"] = "no server at " + server;
     if (refusal.code != RefusalCode::PermissionDenied && refusal.code != RefusalCode::Malformed) {
-        json["mend"] =
-            server.find("/router:") == std::string::npos
-                ? "start one with: axon-server, or name another with --server HOST:PORT (or AXON_SERVER)"
-                : "look whether the router and a server behind it run where --config (or AXON_CONFIG) says: "
-                  "axon-cluster status, or the logs of glacier2router and axon-server";
+        json["fix"] = server.find("/router:") == std::string::npos
+                          ? "start a server with axon-server, or give the address of another one with "
+                            "--server HOST:PORT (or AXON_SERVER)"
+                          : "check that the router and a server behind it are running at the address in "
+                            "--config (or AXON_CONFIG): "
+                            "axon-cluster status, or the logs of glacier2router and axon-server";
     }
     return json;
 }

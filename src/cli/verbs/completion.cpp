@@ -392,11 +392,12 @@ int completion(Session& session) {
 extern const Verb kCompletion{
     "completion",
     "Print the completion script of a shell",
-    "  source <(axon completion bash)                                    now\n"
-    "  axon completion bash > ~/.local/share/bash-completion/completions/axon   always\n"
+    "  source <(axon completion bash)                                    for this shell\n"
+    "  axon completion bash > ~/.local/share/bash-completion/completions/axon   for every new one\n"
     "  axon completion zsh > ~/.zfunc/_axon\n"
     "  axon completion fish > ~/.config/fish/completions/axon.fish\n"
-    "Completes verbs, options, entities, their services, parameters and values, global services and roles.\n",
+    "It completes verbs, options, entities, their services, parameters and values, global services and "
+    "roles.\n",
     Runs::Local,
     {{"shell", Takes::Choice, true, false, "bash, zsh or fish", {"bash", "zsh", "fish"}}},
     {},
