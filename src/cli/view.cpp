@@ -33,8 +33,6 @@ std::string valuesText(const Json& values) {
     return text;
 }
 
-namespace {
-
 Tint stateTint(const std::string& state) {
     if (state == "ERR" || state == "UNAV") return Tint::Red;
     if (state == "BUSY" || state == "COLLAB" || state == "SLAVE") return Tint::Cyan;
@@ -42,36 +40,13 @@ Tint stateTint(const std::string& state) {
     return Tint::None;
 }
 
-std::string holderText(const Json& entity) {
-    const std::string lost = entity.value("orphaned", false) ? " (lost)" : "";
-    if (entity.value("yours", false)) return "you" + lost;
-    const auto holder = textOf(entity, "holder");
-    return holder.empty() ? holder : holder + lost;
-}
-
-/// "INT mm", and what its values may be.
-std::string typeText(const Json& parameter) {
-    auto text = textOf(parameter, "data_type");
-    if (const auto units = textOf(parameter, "units"); !units.empty()) text += " " + units;
-    return text;
-}
-
-std::string allowedText(const Json& parameter) {
-    if (parameter.contains("choices")) return valuesText(parameter["choices"]);
-    const bool low = parameter.contains("minimum");
-    const bool high = parameter.contains("maximum");
-    if (low && high) return valueText(parameter["minimum"]) + " to " + valueText(parameter["maximum"]);
-    if (low) return "from " + valueText(parameter["minimum"]);
-    if (high) return "up to " + valueText(parameter["maximum"]);
-    return {};
-}
-
-/// `precision_ms`: what is shorter cannot be told apart from nothing.
-std::string stageText(const Json& milliseconds, double precision_ms = 0) {
+std::string stageText(const Json& milliseconds, double precision_ms) {
     if (milliseconds.is_number() && milliseconds.get<double>() < precision_ms)
         return "< " + duration(precision_ms / 1000);
     return milliseconds.is_number() ? duration(milliseconds.get<double>() / 1000) : "-";
 }
+
+namespace {
 
 /// "x=1.5 y=2" for {"pose": {"x": 1.5, "y": 2, "frame": ""}}; the beginning of long lists.
 std::string sampleText(const Json& sample) {
@@ -298,165 +273,6 @@ void PersonView::show(const Json& event) {
     if (kind == "line") return say(textOf(event, "text", true));
 }
 
-void PersonView::showEntities(const Json& event) {
-    const auto& list = event.at("entities");
-    const auto sayHidden = [&] {
-        if (const auto hidden = event.value("not_ready", 0); hidden > 0)
-            say(paint(std::to_string(hidden) + (hidden == 1 ? " entity is" : " entities are") +
-                          " not ready: axon ls --all shows why",
-                      Tint::Dim));
-    };
-    if (list.empty()) {
-        say("no entities at " + textOf(event, "server") +
-            " yet: start a robot's application and its "
-            "axon-entity-manager");
-        return sayHidden();
-    }
-    std::vector<std::string> head{"NAME",  "CATEGORY", "TYPE", "STATE", "HOLDER",
-                                  "LATCH", "WAITING",  "STOP", "REASON"};
-    const bool uuid = event.value("uuid", false);
-    if (uuid) head.emplace_back("UUID");
-    Table table(head);
-    for (const auto& entity : list) {
-        const auto state = textOf(entity, "state");
-        const auto holder = holderText(entity);
-        const auto waiting = entity.value("waiting", 0);
-        const auto latency = entity.value("stop_latency_ms", Json());
-        std::vector<Cell> row{{textOf(entity, "call"), Tint::Bold},
-                              {textOf(entity, "category")},
-                              {textOf(entity, "type")},
-                              {state, stateTint(state)},
-                              {holder.empty() ? "-" : holder, holder == "you" ? Tint::Green : Tint::None},
-                              {entity.value("latched", false) ? "stopped" : "", Tint::Yellow},
-                              {waiting > 0 ? std::to_string(waiting) : ""},
-                              {latency.is_number() ? stageText(latency) : ""},
-                              {textOf(entity, "reason"), Tint::Dim}};
-        if (uuid) row.push_back({textOf(entity, "id")});
-        table.add(std::move(row));
-    }
-    wipe();
-    out_ << table.text(terminal_.colour) << std::flush;
-    sayHidden();
-}
-
-void PersonView::showEntity(const Json& event) {
-    const auto& entity = event.at("entity");
-    const auto call = textOf(entity, "call");
-    const auto state = textOf(entity, "state");
-    const auto holder = holderText(entity);
-    wipe();
-    if (entity.value("ready", true)) {
-        out_ << paint(call, Tint::Bold) << "  " << textOf(entity, "category") << ' ' << textOf(entity, "type")
-             << "  " << paint(state, stateTint(state)) << "  "
-             << (holder.empty() ? "free" : "held by " + holder) << '\n';
-    } else {
-        out_ << paint(call, Tint::Bold) << "  not ready  " << paint(state, stateTint(state)) << '\n';
-    }
-    if (entity.value("yours", false))
-        out_ << "  "
-             << paint(entity.value("direct", false) ? "messages go directly to its Entity Manager"
-                                                    : "messages go through the servers",
-                      Tint::Dim)
-             << '\n';
-    if (entity.value("latched", false)) {
-        out_ << "  " << paint("stopped: it refuses tasks until axon rearm " + shellWord(call), Tint::Yellow)
-             << '\n';
-    }
-    if (const auto reason = textOf(entity, "reason"); !reason.empty())
-        out_ << "  " << paint(reason, Tint::Red) << '\n';
-    if (entity.value("orphaned", false)) {
-        out_ << "  "
-             << paint(
-                    "its holder has lost the connection; it stands still, and becomes free if the holder "
-                    "does not come back in time",
-                    Tint::Yellow)
-             << '\n';
-    }
-    if (const auto waiting = entity.value("waiting", 0); waiting > 0)
-        out_ << "  " << waiting << (waiting == 1 ? " client is" : " clients are") << " waiting for it\n";
-    if (const auto latency = entity.value("stop_latency_ms", Json()); latency.is_number())
-        out_ << "  stop latency " << stageText(latency) << " (from the last drill of the servers)\n";
-    for (const auto& margin : event.value("watchdogs", Json::array())) {
-        const auto timeout = margin.value("timeout_ms", 0.0);
-        const auto gap = margin.value("longest_gap_ms", 0.0);
-        const bool near = timeout > 0 && gap > timeout / 2;
-        out_ << "  "
-             << paint(fmt::format("watchdog {}: stops after {} of silence, longest gap in the last minute {}",
-                                  textOf(margin, "hop"), stageText(timeout), stageText(gap)),
-                      near ? Tint::Yellow : Tint::Dim)
-             << '\n';
-    }
-    for (const auto& finding : event.value("findings", Json::array())) {
-        out_ << "  " << paint(textOf(finding, "message"), Tint::Yellow) << '\n';
-        if (const auto fix = textOf(finding, "fix"); !fix.empty()) out_ << "    fix: " << fix << '\n';
-    }
-    if (const auto descr = textOf(entity, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
-    out_ << fmt::format("  at {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
-                        entity.value("y_mm", 0.0), entity.value("z_mm", 0.0),
-                        paint(textOf(entity, "id"), Tint::Dim));
-    for (const auto& service : event.at("services")) {
-        out_ << '\n' << paint(textOf(service, "name"), Tint::Bold);
-        if (const auto id = textOf(service, "global_id"); !id.empty()) out_ << " (" << id << ")";
-        out_ << "  ";
-        const auto& missing = service.at("missing");
-        if (!service.value("active", true)) {
-            const auto why = textOf(service, "inactive_reason");
-            out_ << paint(
-                "switched off" + (why.empty() ? std::string(" by the robot application") : ": " + why),
-                Tint::Red);
-        } else if (service.value("executing", false)) {
-            out_ << paint("running", Tint::Cyan);
-        } else if (!missing.empty()) {
-            out_ << paint("needs " + valuesText(missing), Tint::Yellow);
-        } else {
-            out_ << paint("ready", Tint::Green);
-        }
-        if (textOf(service, "type") == "CMPLX")
-            out_ << "; composite of " << valuesText(service.value("parts", Json::array()));
-        if (!service.value("blocking", true)) out_ << "; runs beside other tasks";
-        if (service.value("pausable", false)) out_ << "; pausable";
-        out_ << '\n';
-        if (const auto descr = textOf(service, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
-        if (const auto notes = textOf(service, "notes"); !notes.empty())
-            out_ << "  " << paint(notes, Tint::Dim) << '\n';
-        const auto isMissing = [&](const std::string& name) {
-            return std::any_of(missing.begin(), missing.end(), [&](const Json& one) { return one == name; });
-        };
-        if (const auto& parameters = service.at("parameters"); !parameters.empty()) {
-            Table table({"PARAMETER", "KIND", "TYPE", "VALUE", "ALLOWED", "", "DESCRIPTION"}, 2);
-            for (const auto& parameter : parameters) {
-                std::string marks;
-                if (parameter.value("required", false)) marks = "required";
-                if (parameter.value("multiple", false)) marks += marks.empty() ? "several" : ", several";
-                if (parameter.value("savable", false)) marks += marks.empty() ? "kept" : ", kept";
-                const bool lacking = isMissing(parameter.value("name", ""));
-                table.add({{textOf(parameter, "name")},
-                           {lowerCase(textOf(parameter, "type"))},
-                           {typeText(parameter)},
-                           {lacking ? "missing" : valuesText(parameter.at("values")),
-                            lacking ? Tint::Yellow : Tint::None},
-                           {allowedText(parameter)},
-                           {marks},
-                           {textOf(parameter, "descr"), Tint::Dim}});
-            }
-            out_ << table.text(terminal_.colour);
-        }
-        if (const auto& resources = service.at("resources"); !resources.empty()) {
-            Table table({"RESOURCE", "SIZE", "", "DESCRIPTION"}, 2);
-            for (const auto& resource : resources) {
-                const bool there = resource.value("ready", false);
-                table.add({{textOf(resource, "name")},
-                           {there ? byteCount(resource.value("size", 0.0)) : "missing",
-                            there ? Tint::None : Tint::Yellow},
-                           {resource.value("required", false) ? "required" : ""},
-                           {textOf(resource, "descr"), Tint::Dim}});
-            }
-            out_ << table.text(terminal_.colour);
-        }
-    }
-    out_ << std::flush;
-}
-
 void PersonView::showTask(const Json& event) {
     const auto state = textOf(event, "state");
     const auto who = textOf(event, "entity") + " " + textOf(event, "service");
@@ -548,73 +364,6 @@ void PersonView::showUpload(const Json& event) {
     progress(fmt::format("{}  {} {}  {} of {}", textOf(event, "resource"), progressBar(part, 30),
                          percent(part), byteCount(event.value("sent", 0.0)), byteCount(total)),
              part);
-}
-
-void PersonView::showCommand(const Json& event) {
-    const auto tasks = [](int count) {
-        return count == 1 ? std::string("1 task") : fmt::format("{} tasks", count);
-    };
-    const int ended = event.value("tasks_ended", 0);
-    const int removed = event.value("tasks_removed", 0);
-    auto said = textOf(event, "entity") + (ended > 0 ? " has ended " + tasks(ended) : " was running no task");
-    if (event.value("verb", "") == "clear")
-        said += removed > 0
-                    ? fmt::format(", and removed {} waiting {}", removed, removed == 1 ? "task" : "tasks")
-                    : ", and none was waiting";
-    else if (ended > 0)
-        said += "; the next waiting task starts";
-    say(said);
-    if (!event.value("confirmed", true))
-        err_ << paint("axon: its stop callback has not returned yet: look at the robot", Tint::Red) << '\n'
-             << std::flush;
-}
-
-void PersonView::showReceipts(const Json& event) {
-    const auto& list = event.at("receipts");
-    if (list.empty()) return;  // a notice says so
-    Table table({"STOPPED", "SERVER", "MANAGER", "CALLBACK", "STANDSTILL", "STATE", "RECEIPT"});
-    for (const auto& receipt : list) {
-        const bool confirmed = receipt.value("confirmed", false);
-        const bool no_application = receipt.value("no_application", false);
-        const auto state = textOf(receipt, "state");
-        const auto precision = receipt.value("precision_ms", 0.0);
-        std::string verdict = confirmed ? "✓ confirmed" : "✗ NOT CONFIRMED";
-        if (confirmed && no_application) verdict = "✓ no application, nothing to stop";
-        const bool rolls =
-            confirmed && receipt.value("standstill_follows", false) && receipt.at("standstill_ms").is_null();
-        table.add({{textOf(receipt, "call"), Tint::Bold},
-                   {stageText(receipt.at("server_ms"), precision)},
-                   {stageText(receipt.at("manager_ms"), precision)},
-                   {stageText(receipt.at("callback_returned_ms"), precision)},
-                   {rolls ? "not yet" : stageText(receipt.at("standstill_ms"), precision)},
-                   {state, stateTint(state)},
-                   {verdict, confirmed ? Tint::Green : Tint::Red}});
-    }
-    wipe();
-    out_ << table.text(terminal_.colour) << std::flush;
-    for (const auto& receipt : list)
-        if (const auto fault = textOf(receipt, "fault"); !fault.empty())
-            err_ << paint("axon: the stop callback of " + textOf(receipt, "call") +
-                              " fails and is called again: " + fault,
-                          Tint::Red)
-                 << '\n';
-    for (const auto& receipt : list) {
-        const auto lost = textOf(receipt, "application_lost");
-        if (lost.empty()) continue;
-        const auto since = receipt.at("application_lost_s");
-        err_ << paint("axon: " + textOf(receipt, "call") +
-                          " may be moving: its robot application has not been reachable" +
-                          (since.is_number() ? fmt::format(" for {:.1f} s", since.get<double>()) : "") +
-                          ": " + lost,
-                      Tint::Red)
-             << '\n';
-    }
-    if (!event.value("confirmed", false)) {
-        err_ << paint("axon: not every stop is confirmed: look at the robots, and use their emergency stops",
-                      Tint::Red)
-             << '\n'
-             << std::flush;
-    }
 }
 
 void PersonView::showCheckedOut(const Json& event) {
@@ -712,48 +461,6 @@ void PersonView::showHandOver(const Json& event) {
              << " accept, or refuse; no answer " << (yield ? "hands it over" : "refuses") << '\n';
     }
     err_ << std::flush;
-}
-
-void PersonView::showDrill(const Json& event) {
-    wipe();
-    const auto& callback = event.at("callback");
-    const auto& manager = event.at("manager");
-    out_ << paint(textOf(event, "entity"), Tint::Bold) << "  " << event.value("tries", 0)
-         << (event.value("tries", 0) == 1 ? " try" : " tries");
-    if (event.value("no_application", false))
-        out_ << "; " << paint("no robot application is linked", Tint::Yellow);
-    out_ << '\n';
-    Table table({"ROUND TRIP", "N", "P50", "P90", "P99", "P99.9", "MAX", "NEVER"}, 2);
-    for (const auto& [name, part] : {std::pair<const char*, const Json&>{"manager", manager},
-                                     std::pair<const char*, const Json&>{"robot application", callback}}) {
-        if (part.value("n", 0) == 0) continue;
-        const auto never = part.value("never_arrived", 0);
-        const auto cell = [&](const char* member) -> Cell {
-            const auto value = part.value(member, Json());
-            if (value.is_number()) return {stageText(value)};
-            return {value.is_string() ? "never" : ""};
-        };
-        table.add({{name},
-                   {std::to_string(part.value("n", 0))},
-                   cell("p50_ms"),
-                   cell("p90_ms"),
-                   cell("p99_ms"),
-                   cell("p999_ms"),
-                   cell("max_ms"),
-                   {std::to_string(never), never > 0 ? Tint::Red : Tint::None}});
-    }
-    out_ << table.text(terminal_.colour);
-    const auto& shown = callback.value("n", 0) > 0 ? callback : manager;
-    double most = 0;
-    for (const auto& bin : shown.at("histogram")) most = std::max(most, bin.value("count", 0.0));
-    for (const auto& bin : shown.at("histogram")) {
-        const auto count = bin.value("count", 0.0);
-        const auto width = static_cast<std::size_t>(count / most * 40 + 0.5);
-        const std::string bar(count > 0 ? std::max<std::size_t>(width, 1) : 0, '#');
-        out_ << fmt::format("  {:>9}  {}{}{:.0f}\n", "≤ " + stageText(bin.at("up_to_ms")), bar,
-                            bar.empty() ? "" : " ", count);
-    }
-    out_ << std::flush;
 }
 
 void PersonView::showAgent(const Json& event) {
