@@ -150,7 +150,7 @@ void Agent::take(Connection& connection, const std::string& text) {
                           request.contains("args") && request["args"].is_object();
     if (!sensible || connection.mailbox) {
         sendLine(connection.fd.get(),
-                 usageEvent("the agent expected one request on a connection, as a line of JSON"));
+                 usageEvent("the agent expects one request on a connection, as a line of JSON"));
         connection.gone = true;
         if (connection.mailbox) connection.mailbox->interrupt();
         return;
@@ -165,7 +165,7 @@ void Agent::take(Connection& connection, const std::string& text) {
         } catch (const nlohmann::json::exception& malformed) {
             // Arguments that another program made up; the command's own come from its parser.
             connection.emit(
-                usageEvent(std::string("arguments of another form were expected: ") + malformed.what()));
+                usageEvent(std::string("the arguments do not have the expected form: ") + malformed.what()));
             exit = kUsage;
         }
         connection.emit(exit ? Json{{"done", true}, {"exit", *exit}} : Json{{"elsewhere", true}});
@@ -190,7 +190,7 @@ Result<Descriptor> listenAt(const std::filesystem::path& socket) {
     std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
     ::unlink(path.c_str());
     Descriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    if (!fd.open()) return failed("make a socket for");
+    if (!fd.open()) return failed("create a socket for");
     // The directory is 0700 already; the mode of the socket says the same to who looks.
     const auto mask = ::umask(0177);
     const int bound = ::bind(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address);

@@ -28,15 +28,18 @@ Refusal checkRuntimeDirectory(const std::filesystem::path& directory, bool& exis
     if (!exists) return {};
     const auto path = directory.string();
     if (!S_ISDIR(found.st_mode)) {
-        return {RefusalCode::PermissionDenied, path + " should be a directory and is not: remove it", {}};
-    }
-    if (found.st_uid != ::getuid()) {
         return {RefusalCode::PermissionDenied,
-                path + " belongs to another user: remove it, or set XDG_RUNTIME_DIR to a directory of yours",
+                "expected a directory at " + path + ", found something else: remove it",
                 {}};
     }
+    if (found.st_uid != ::getuid()) {
+        return {
+            RefusalCode::PermissionDenied,
+            path + " belongs to another user: remove it, or set XDG_RUNTIME_DIR to a directory of your own",
+            {}};
+    }
     if ((found.st_mode & 0777U) != 0700U) {
-        return {RefusalCode::PermissionDenied, "others may enter " + path + ": chmod 700 " + path, {}};
+        return {RefusalCode::PermissionDenied, "other users can enter " + path + ": chmod 700 " + path, {}};
     }
     return {};
 }
@@ -45,8 +48,8 @@ Result<AgentPlace> agentPlace(const std::string& server) {
     const auto directory = runtimeDirectory();
     if (::mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST) {
         return Refusal{RefusalCode::PermissionDenied,
-                       "cannot make " + directory.string() + " (" + std::strerror(errno) +
-                           "): set XDG_RUNTIME_DIR to a directory of yours",
+                       "cannot create " + directory.string() + " (" + std::strerror(errno) +
+                           "): set XDG_RUNTIME_DIR to a directory of your own",
                        {}};
     }
     bool exists = false;

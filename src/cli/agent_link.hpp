@@ -22,7 +22,7 @@ struct AgentPlace {
 
 /// $XDG_RUNTIME_DIR/axon, or /tmp/axon-UID.
 std::filesystem::path runtimeDirectory();
-/// PERMISSION_DENIED with the mend when it is not a directory of this user with mode 0700: in /tmp anybody
+/// PERMISSION_DENIED with the fix when it is not a directory of this user with mode 0700: in /tmp anybody
 /// may have made it first. NOT_FOUND is no refusal: `exists` tells.
 Refusal checkRuntimeDirectory(const std::filesystem::path& directory, bool& exists);
 /// Where the agent for this server is, or would be. Makes the directory.

@@ -157,7 +157,7 @@ TEST_F(Served, StaysAsLongAsSomethingIsHeld) {
 TEST_F(Served, CutsOffWhoSendsNoJson) {
     serve(milliseconds(60'000), true);
     ASSERT_EQ(::send(raw.get(), "GET / HTTP/1.0\n", 15, 0), 15);
-    EXPECT_THAT(received(), HasSubstr("expected one request"));
+    EXPECT_THAT(received(), HasSubstr("expects one request"));
 }
 
 TEST_F(Served, CutsOffWhoSendsALineWithoutEnd) {
@@ -176,7 +176,7 @@ TEST_F(Served, RefusesArgumentsOfAnotherForm) {
     serve(milliseconds(60'000), true);
     ASSERT_TRUE(sendLine(raw.get(), {{"verb", "run"}, {"args", {{"entity", 5}}}}));
     const auto text = received();
-    EXPECT_THAT(text, HasSubstr("arguments of another form"));
+    EXPECT_THAT(text, HasSubstr("arguments do not have the expected form"));
     EXPECT_THAT(text, HasSubstr("\"exit\":2"));
 }
 
@@ -264,7 +264,7 @@ TEST_F(Invoked, VerbsAboutWhatIsKeptSayThatNothingIs) {
     EXPECT_EQ(invoker.perform(*findVerb("tasks"), Json::object(), seen), kDone);
     EXPECT_EQ(seen.last("notice")->at("message"), "nothing is checked out here");
     EXPECT_EQ(invoker.perform(*findVerb("cancel"), {{"entity", "Cyton"}}, seen), kRefused);
-    EXPECT_EQ(seen.last("error")->at("mend"), "axon checkout Cyton");
+    EXPECT_EQ(seen.last("error")->at("fix"), "check it out first: axon checkout Cyton");
     EXPECT_EQ(invoker.perform(*findVerb("wait"), {{"task", {"3f2a"}}}, seen), kRefused)
         << "its end is not known";
     EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_TASK");
@@ -273,13 +273,13 @@ TEST_F(Invoked, VerbsAboutWhatIsKeptSayThatNothingIs) {
     EXPECT_EQ(seen.last("agent")->at("running"), false);
 }
 
-TEST_F(Invoked, NoServerHasAnExitStatusAndAMendOfItsOwn) {
+TEST_F(Invoked, NoServerHasAnExitStatusAndAFixOfItsOwn) {
     Invoker away(settings, [](const Settings&) {
         return Result<std::shared_ptr<Station>>(
             Refusal{RefusalCode::Unavailable, "nobody listens there", {}});
     });
     EXPECT_EQ(away.perform(*findVerb("ls"), Json::object(), seen), kNoServer);
-    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("axon-server"));
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("axon-server"));
 }
 
 TEST_F(Invoked, ACommandHoldsWhileItRunsAndGivesItsExitStatus) {
@@ -323,7 +323,7 @@ TEST_F(Invoked, AnAgentServesAtItsPlaceAndReleasesWhenItEnds) {
     // Without its server it does not keep a stop from finding another way.
     station->is_connected = false;
     EXPECT_EQ(other.perform(*findVerb("stop"), Json::object(), seen), kNoServer);
-    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("NOTHING WAS STOPPED"));
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("NOTHING WAS STOPPED"));
 
     invoker.interrupt(SIGTERM);
     serving.join();

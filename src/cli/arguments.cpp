@@ -36,13 +36,14 @@ Result<const Thing*> findByName(const std::vector<Thing>& things, std::string_vi
     if (similar.size() > 1) {
         std::vector<std::string_view> candidates;
         for (const auto* thing : similar) candidates.push_back(nameOf(*thing));
-        return Refusal{unknown, inQuotes(name) + " may be " + nameList(candidates) + ": write it exactly"};
+        return Refusal{unknown,
+                       inQuotes(name) + " may mean " + nameList(candidates) + ": write the exact name"};
     }
     auto message = owner + " has no " + kind + " " + inQuotes(name);
     if (const auto near = nearNames(name, names); !near.empty()) {
         message += ": did you mean " + alternatives(near) + "?";
     } else if (names.empty()) {
-        message += things.empty() ? ", nor any other" : ", nor any other that can be set";
+        message += things.empty() ? "; it has none" : "; it has none that can be set";
     } else if (names.size() <= 8) {
         message += "; it has " + nameList(names);
     }
@@ -153,8 +154,7 @@ Result<std::vector<Argument>> readArguments(const Service& service, const std::v
             arguments.push_back({meta.name, {value}, units, true});
         } else {
             if (!meta.multiple) {
-                return Refusal{RefusalCode::WrongType,
-                               inQuotes(meta.name) + " takes one value and was given more"};
+                return Refusal{RefusalCode::WrongType, inQuotes(meta.name) + " takes only one value"};
             }
             if (same->units.empty()) same->units = units;
             if (!units.empty() && units != same->units) {

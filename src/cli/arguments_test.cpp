@@ -192,23 +192,23 @@ TEST(CommandLine, SendsTextsThatLookLikeOptionsOrLists) {
     EXPECT_EQ(parsed.line->args["hex"], "6869");
 }
 
-TEST(CommandLine, SaysWhatIsWrongAndHowToMendIt) {
+TEST(CommandLine, SaysWhatIsWrongAndHowToFixIt) {
     for (const auto& [words, expected] : std::vector<std::pair<std::vector<std::string>, std::string>>{
              {{"rnu"}, "did you mean \"run\"?"},
-             {{"run", "A"}, "Usage: axon run ENTITY SERVICE [PARAMETER=VALUE…]"},
-             {{"ls", "--colour"}, "Usage: axon ls"},
-             {{"send", "A"}, "a TEXT or --file FILE"},
+             {{"run", "A"}, "fix: axon run ENTITY SERVICE [PARAMETER=VALUE…]"},
+             {{"ls", "--colour"}, "fix: axon ls"},
+             {{"send", "A"}, "either TEXT or --file FILE"},
              {{"upload", "A", "S", "R", "/no/such/file"}, "found none at \"/no/such/file\""},
-             {{"watch", "A", "--for", "long"}, "Usage: axon watch"},
+             {{"watch", "A", "--for", "long"}, "fix: axon watch"},
              {{"ls", "--server", "here"}, "HOST:PORT"},
-             {{"ls", "--timeout", "0"}, "Usage"},
+             {{"ls", "--timeout", "0"}, "fix: axon ls"},
              {{"completion", "tcsh"}, "bash"},
-             {{"profile", "mend", "a.xml"}, "check"}}) {
+             {{"profile", "fix", "a.xml"}, "check"}}) {
         const auto parsed = parse(words);
         EXPECT_FALSE(parsed.line) << words.front();
         EXPECT_EQ(parsed.exit, kUsage);
         EXPECT_THAT(parsed.err, HasSubstr(expected));
-        EXPECT_THAT(parsed.err, HasSubstr("mend: "));
+        EXPECT_THAT(parsed.err, HasSubstr("fix: "));
     }
 }
 
@@ -303,13 +303,13 @@ TEST(Words, QuotesForTheShellWhatNeedsIt) {
     EXPECT_EQ(shellWord(""), "''");
 }
 
-TEST(Words, NamesTheHolderAndTheMendOfARefusal) {
+TEST(Words, NamesTheHolderAndTheFixOfARefusal) {
     const auto event = errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is held", "cl2@lab"}, "PeopleBot");
     EXPECT_EQ(event["code"], "ALREADY_HELD");
     EXPECT_EQ(event["holder"], "cl2@lab");
-    EXPECT_THAT(event["mend"].get<std::string>(), HasSubstr("cl2@lab"));
-    EXPECT_EQ(errorEvent({RefusalCode::Latched, "stopped", {}}, "Cyton Arm")["mend"],
-              "axon rearm 'Cyton Arm', when it is safe to move again");
+    EXPECT_THAT(event["fix"].get<std::string>(), HasSubstr("cl2@lab"));
+    EXPECT_EQ(errorEvent({RefusalCode::Latched, "stopped", {}}, "Cyton Arm")["fix"],
+              "rearm it when it is safe to move again: axon rearm 'Cyton Arm'");
 }
 
 TEST(Words, SurvivesTextThatIsNoUtf8) {

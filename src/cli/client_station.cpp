@@ -180,7 +180,7 @@ class ClientStation final : public Station {
                     return task.cancel();
             }
         }
-        return Refusal{RefusalCode::UnknownTask, "no task " + id + " was begun here", {}};
+        return Refusal{RefusalCode::UnknownTask, "no task " + id + " was started here", {}};
     }
 
     Result<GlobalServices> globalServices() const override { return client_->globalServices(); }
@@ -217,7 +217,7 @@ class ClientStation final : public Station {
                     return run.cancel();
             }
         }
-        return Refusal{RefusalCode::UnknownTask, "no run " + id + " was begun here", {}};
+        return Refusal{RefusalCode::UnknownTask, "no run " + id + " was started here", {}};
     }
     Result<RunHistory> runHistory(int most) const override { return client_->runHistory({}, most); }
 

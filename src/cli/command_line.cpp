@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "axon/client.hpp"
+#include "cli/common_options.hpp"
 #include "cli/password.hpp"
 #include "messages/text.hpp"
 
@@ -16,13 +17,13 @@ namespace axon::cli {
 namespace {
 
 constexpr const char* kRootFooter =
-    "\nTo begin:\n"
-    "  axon ls                                    what is there?\n"
-    "  axon info PeopleBot                        what can it do?\n"
-    "  axon run PeopleBot Driving Distance=1000   do it\n"
-    "  axon stop PeopleBot                        stop it, at any time, whoever holds it\n"
-    "  axon checkout PeopleBot                    keep it for yourself\n"
-    "  axon checkout --query '1 ROBOT/MOBILE'     whichever is free\n"
+    "\nGet started:\n"
+    "  axon ls                                    list the entities\n"
+    "  axon info PeopleBot                        show what it can do\n"
+    "  axon run PeopleBot Driving Distance=1000   run a task\n"
+    "  axon stop PeopleBot                        stop it at any time, whoever holds it\n"
+    "  axon checkout PeopleBot                    check it out until axon release\n"
+    "  axon checkout --query '1 ROBOT/MOBILE'     check out any that is free\n"
     "axon VERB --help shows more. Exit status: 0 done, 1 refused or failed, 2 usage, 3 no server,\n"
     "4 not confirmed, 5 stopped or cancelled, 130 interrupted.";
 
@@ -34,8 +35,9 @@ std::string placeholder(const Operand& operand) {
     return text;
 }
 
-std::string usageOf(const Verb& verb) {
-    std::string text = std::string("Usage: axon ") + verb.name;
+/// "axon run ENTITY SERVICE [PARAMETER=VALUE…] [OPTIONS]".
+std::string synopsisOf(const Verb& verb) {
+    std::string text = std::string("axon ") + verb.name;
     for (const auto& operand : verb.operands) {
         auto word = placeholder(operand);
         if (operand.repeated) word += "…";
@@ -71,7 +73,7 @@ class HelpFormatter final : public CLI::Formatter {
         const auto* verb = findVerb(nameOf(*app));
         if (const auto group = nameOf(*app); findGroup(group) != nullptr)
             return "Usage: axon " + group + " VERB [OPTIONS]\n";
-        return verb != nullptr ? usageOf(*verb) + "\n" : CLI::Formatter::make_usage(app, name);
+        return verb != nullptr ? "Usage: " + synopsisOf(*verb) + "\n" : CLI::Formatter::make_usage(app, name);
     }
 };
 
@@ -154,6 +156,24 @@ void declare(CLI::App& app, const Verb& verb, Json& args) {
     }
 }
 
+void declareCommon(CLI::App& app, Settings& settings) {
+    for (const auto& option : commonOptions()) {
+        const auto name = std::string("--") + option.name;
+        const auto help = helpOf(option, settings);
+        if (const auto* text = std::get_if<std::string Settings::*>(&option.setting)) {
+            app.add_option(name, settings.*(*text), help)->type_name(option.placeholder);
+        } else if (const auto* number = std::get_if<double Settings::*>(&option.setting)) {
+            app.add_option(name, settings.*(*number), help)
+                ->check(CLI::Range(0.01, 3600.0).description(""))
+                ->type_name(option.placeholder);
+        } else {
+            const auto flag = std::get<bool Settings::*>(option.setting);
+            app.add_flag_callback(
+                name, [&settings, flag] { settings.*flag = !(Settings{}.*flag); }, help);
+        }
+    }
+}
+
 /// What is wrong with one of them, or an empty text.
 std::string readMaybeDurations(const CLI::App& app, const Verb& verb, Json& args) {
     for (const auto& option : verb.options) {
@@ -231,8 +251,8 @@ std::vector<std::string> withoutOptions(const CLI::App& app, const std::vector<s
 
 std::string mistake(const std::vector<std::string>& words, const std::string& what) {
     const auto first = words.begin();
-    if (first == words.end()) return "axon: " + what + "\nmend: axon --help\n";
-    if (const auto* verb = verbIn(words)) return "axon: " + what + "\nmend: " + usageOf(*verb) + "\n";
+    if (first == words.end()) return "axon: " + what + "\nfix: axon --help shows the verbs\n";
+    if (const auto* verb = verbIn(words)) return "axon: " + what + "\nfix: " + synopsisOf(*verb) + "\n";
     std::vector<std::string_view> names;
     if (const auto* group = findGroup(*first)) {
         const std::string before = std::string(group->name) + " ";
@@ -243,7 +263,7 @@ std::string mistake(const std::vector<std::string>& words, const std::string& wh
         }
         const auto wanted = second == words.end() ? std::string() : *second;
         const auto near = nearNames(wanted, names);
-        return "axon: " + (wanted.empty() ? what : before + "has no verb " + inQuotes(wanted)) + "\nmend: " +
+        return "axon: " + (wanted.empty() ? what : "unknown verb " + inQuotes(before + wanted)) + "\nfix: " +
                (near.empty() ? "axon " + before + "--help shows the verbs"
                              : "did you mean " + alternatives(near) + "?") +
                "\n";
@@ -254,7 +274,7 @@ std::string mistake(const std::vector<std::string>& words, const std::string& wh
     }
     for (const auto& group : verbGroups()) names.emplace_back(group.name);
     const auto near = nearNames(*first, names);
-    return "axon: there is no verb " + inQuotes(*first) + "\nmend: " +
+    return "axon: unknown verb " + inQuotes(*first) + "\nfix: " +
            (near.empty() ? "axon --help shows the verbs" : "did you mean " + alternatives(near) + "?") + "\n";
 }
 
@@ -265,16 +285,16 @@ Parsed parseCommandLine(std::vector<std::string> words,
     Parsed parsed;
     CommandLine line;
     const auto from = [&](const char* name, std::string& setting) {
-        const char* value = environment(name);
+        const char* value = *name == '\0' ? nullptr : environment(name);
         if (value != nullptr && *value != '\0') setting = value;
     };
-    from("AXON_SERVER", line.settings.server);
+    for (const auto& option : commonOptions()) {
+        if (const auto* text = std::get_if<std::string Settings::*>(&option.setting))
+            from(option.environment, line.settings.*(*text));
+    }
+    from("AXON_PASSWORD", line.settings.password);
     const auto* named_server = environment("AXON_SERVER");
     bool server_said = named_server != nullptr && *named_server != '\0';
-    from("AXON_CONFIG", line.settings.config);
-    from("AXON_USER", line.settings.user);
-    from("AXON_PASSWORD", line.settings.password);
-    from("AXON_PASSWORD_FILE", line.settings.password_file);
 
     // The words of somebody else's half-written line: nothing of them is an option of ours.
     if (!words.empty() && words.front() == "__complete") {
@@ -305,30 +325,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
     formatter->column_width(24);
     app.formatter(formatter);
     app.footer(kRootFooter);
-    auto* server_option = app.add_option("--server", line.settings.server,
-                                         "Where the server is (AXON_SERVER; " + line.settings.server +
-                                             "), or the proxy of a router")
-                              ->type_name("HOST:PORT");
-    auto* config_option =
-        app.add_option("--config", line.settings.config,
-                       "client.cfg (AXON_CONFIG): the router or server, who you are, certificates")
-            ->type_name("FILE");
-    app.add_flag("--json", line.settings.json, "Lines of JSON instead of text");
-    app.add_option("--timeout", line.settings.timeout_s, "How long a request may take (5)")
-        ->check(CLI::Range(0.01, 3600.0).description(""))
-        ->type_name("SECONDS");
-    app.add_option("--user", line.settings.user,
-                   "Who you are to the server (AXON_USER); the password is AXON_PASSWORD, or in a file, or "
-                   "asked for")
-        ->type_name("USER");
-    app.add_option("--password-file", line.settings.password_file,
-                   "A file of mode 0600 with your password (AXON_PASSWORD_FILE)")
-        ->type_name("FILE");
-    app.add_option("--name", line.settings.name, "What others see as the holder (user@host)")
-        ->type_name("NAME");
-    bool no_direct = false;
-    app.add_flag("--no-direct", no_direct,
-                 "Everything by the servers, nothing straight to the Entity Managers");
+    declareCommon(app, line.settings);
     app.set_version_flag("--version", std::string("axon ") + AXON_VERSION);
     // A plain list of verbs, not each one's whole help.
     std::map<std::string, CLI::App*> groups;
@@ -349,7 +346,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
         sub->fallthrough();
         if (*verb->examples != '\0')
             sub->footer(std::string("Examples:\n") + verb->examples +
-                        "\nOptions of every verb (--server, --json, …): axon --help");
+                        "\naxon --help shows the options that all verbs share (--server, --json, …).");
         if (verb->hidden) sub->group("");
         declare(*sub, *verb, line.args);
     }
@@ -375,7 +372,6 @@ Parsed parseCommandLine(std::vector<std::string> words,
         parsed.exit = kUsage;
         return parsed;
     }
-    line.settings.direct = !no_direct;
     const auto* sub = app.get_subcommands().front();
     while (!sub->get_subcommands().empty()) sub = sub->get_subcommands().front();
     line.verb = findVerb(nameOf(*sub));
@@ -383,8 +379,8 @@ Parsed parseCommandLine(std::vector<std::string> words,
     const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor";
     const bool finds_agent = connects || std::string_view(line.verb->name) == "agent";
     if (wrong_option.empty() && !line.settings.config.empty() && finds_agent) {
-        if (config_option->count() > 0) server_said = false;
-        if (server_option->count() > 0) server_said = true;
+        if (app.get_option("--config")->count() > 0) server_said = false;
+        if (app.get_option("--server")->count() > 0) server_said = true;
         wrong_option = readConfig(line.settings, server_said);
     }
     if (wrong_option.empty() && connects && line.settings.password.empty() &&
@@ -397,19 +393,19 @@ Parsed parseCommandLine(std::vector<std::string> words,
         }
     }
     if (!wrong_option.empty()) {
-        parsed.err = "axon: " + wrong_option + "\nmend: " + usageOf(*line.verb) + "\n";
+        parsed.err = "axon: " + wrong_option + "\nfix: " + synopsisOf(*line.verb) + "\n";
         parsed.exit = kUsage;
         return parsed;
     }
     if (!isServer(line.settings.server)) {
         parsed.err = "axon: expected --server HOST:PORT, found " + inQuotes(line.settings.server) +
-                     "\nmend: for example --server 127.0.0.1:10410\n";
+                     "\nfix: for example --server 127.0.0.1:10410\n";
         parsed.exit = kUsage;
         return parsed;
     }
     if (line.verb->prepare != nullptr) {
         if (const auto wrong = line.verb->prepare(line.args); !wrong.empty()) {
-            parsed.err = "axon: " + wrong + "\nmend: " + usageOf(*line.verb) + "\n";
+            parsed.err = "axon: " + wrong + "\nfix: " + synopsisOf(*line.verb) + "\n";
             parsed.exit = kUsage;
             return parsed;
         }

@@ -33,7 +33,7 @@ Tint runTint(const std::string& state) {
 
 /// What a person calls the state of a step. `over`: so is the run.
 Cell stepState(const Json& step, bool over) {
-    if (!step.at("state").is_string()) return {over ? "not begun" : "waiting", Tint::Dim};
+    if (!step.at("state").is_string()) return {over ? "not started" : "waiting", Tint::Dim};
     const auto state = textOf(step, "state");
     auto text = state == "DISPATCHED" ? "starting" : lowerCase(state);
     if (const auto tries = step.value("tries", 1); tries > 1) text += fmt::format(" (try {})", tries);
@@ -233,7 +233,9 @@ void PersonView::showGlobalServices(const Json& event) {
     }
     for (const auto& file : event.at("files")) {
         const bool bad = file.value("bad", false);
-        if (bad) say(paint("✗ " + textOf(file, "name") + " has errors: nothing of it is offered", Tint::Red));
+        if (bad)
+            say(paint("✗ " + textOf(file, "name") + " has errors: none of its services is offered",
+                      Tint::Red));
         for (const auto& finding : file.at("findings")) {
             const auto text = valueText(finding);
             const bool error = text.find(": error: ") != std::string::npos;
@@ -286,12 +288,12 @@ void PersonView::showGlobalService(const Json& event) {
         }
     }
     for (const auto& id : event.at("nobody_offers"))
-        say(paint("✗ nobody offers " + valueText(id), Tint::Red));
+        say(paint("✗ no entity offers " + valueText(id), Tint::Red));
     if (event.value("possible", false)) {
         say(paint("✓", Tint::Green) + " every role can be played: axon global check " +
-            shellWord(textOf(service, "name")) + " asks everybody");
+            shellWord(textOf(service, "name")) + " asks every robot");
     } else {
-        say(paint("✗", Tint::Red) + " it cannot be carried out now");
+        say(paint("✗", Tint::Red) + " it cannot run now");
     }
 }
 
@@ -322,7 +324,7 @@ void PersonView::showRun(const Json& event) {
         if (over) {
             showRunEnd(event);
         } else if (terminal_.live) {
-            progress("asking everybody who takes part in " + textOf(event, "service") + " …", -1);
+            progress("asking every robot that takes part in " + textOf(event, "service") + " …", -1);
         }
         return;
     }
@@ -420,11 +422,11 @@ void PersonView::showRunEnd(const Json& event) {
     const bool good = state == "SUCCEEDED";
     const auto mark = good ? paint("✓", Tint::Green) : paint("✗", Tint::Red);
     if (event.value("check", false)) {
-        say(mark + " " + name + (good ? " would go: everybody agrees" : " would not go"));
+        say(mark + " " + name + (good ? " can run: every robot agrees" : " cannot run now"));
     } else if (state == "REFUSED") {
         say(mark + " " + name + " was refused; nothing has moved");
     } else {
-        say(mark + " " + name + " " + (state == "UNKNOWN" ? "has an unknown end" : lowerCase(state)) +
+        say(mark + " " + name + " " + (state == "UNKNOWN" ? "has an unknown outcome" : lowerCase(state)) +
             " after " + duration(event.value("elapsed_s", 0.0)));
     }
     for (const auto* step : inOrder(steps_, true)) {
@@ -437,7 +439,7 @@ void PersonView::showRunEnd(const Json& event) {
         !good && reason.is_object() && event.at("problems").empty()) {
         Json error{
             {"event", "error"}, {"code", reason.value("code", "")}, {"message", reason.value("message", "")}};
-        if (event.contains("mend")) error["mend"] = event["mend"];
+        if (event.contains("fix")) error["fix"] = event["fix"];
         showError(error);
     }
     steps_.clear();
@@ -459,7 +461,7 @@ void PersonView::showProblems(const Json& problems) {
             where += (where.empty() ? "" : " ") + entity;
         say("  " + paint("✗", Tint::Red) + " " + where + (where.empty() ? "" : ": ") +
             textOf(problem, "message") + " (" + textOf(problem, "code") + ")");
-        if (const auto mend = textOf(problem, "mend"); !mend.empty()) say("      mend: " + mend);
+        if (const auto fix = textOf(problem, "fix"); !fix.empty()) say("      fix: " + fix);
     }
 }
 
@@ -467,7 +469,7 @@ void PersonView::showRuns(const Json& event) {
     wipe();
     const auto& runs = event.at("runs");
     if (runs.empty()) {
-        say("nobody here remembers a run");
+        say("no robot here remembers a run");
     } else {
         Rows rows;
         for (const auto& run : runs) {
@@ -487,7 +489,8 @@ void PersonView::showRuns(const Json& event) {
              << std::flush;
     }
     for (const auto& one : event.at("silent"))
-        say(paint("! " + textOf(one, "entity") + " does not tell: " + textOf(one, "message"), Tint::Yellow));
+        say(paint("! " + textOf(one, "entity") + " does not answer: " + textOf(one, "message"),
+                  Tint::Yellow));
 }
 
 void PersonView::showRunRecord(const Json& event) {

@@ -14,22 +14,22 @@ namespace {
 
 /// What to do where the code of the refusal alone does not tell: it depends on who asks, and who the holder
 /// is.
-std::string mendFor(const Session& session, const Refusal& refusal, const std::string& entity) {
+std::string fixFor(const Session& session, const Refusal& refusal, const std::string& entity) {
     const auto x = entity.empty() ? std::string("ENTITY") : shellWord(entity);
     const bool held = refusal.code == RefusalCode::AlreadyHeld || refusal.code == RefusalCode::Reserved;
     if (!session.station || !(held || refusal.code == RefusalCode::NotHolder)) return {};
     const auto self = session.station->self();
     if (self.role == Role::Observer)
-        return "an observer looks on and holds nothing: log in as an operator, with --user";
+        return "an observer cannot check out entities: log in as an operator with --user";
     if (!held || refusal.holder.empty()) return {};
     const auto wait = "wait until it is free: axon checkout " + x + " --wait";
     const auto found = session.station->find(entity);
     if (found && found->orphaned)
         return refusal.holder + " has lost its connection, and " + x +
-               " is free when that is not back in time; " + wait;
+               " becomes free if it does not come back in time; " + wait;
     if (refusal.holder == self.name)
-        return "another command of yours holds it: end that one, or axon release " + x +
-               " where it was checked out; or " + wait;
+        return "another command of yours holds it: end that command, run axon release " + x +
+               " where it was checked out, or " + wait;
     return {};
 }
 
@@ -37,13 +37,13 @@ std::string mendFor(const Session& session, const Refusal& refusal, const std::s
 
 int refuse(Session& session, const Refusal& refusal, const std::string& entity) {
     auto event = errorEvent(refusal, entity);
-    if (const auto mend = mendFor(session, refusal, entity); !mend.empty()) event["mend"] = mend;
+    if (const auto fix = fixFor(session, refusal, entity); !fix.empty()) event["fix"] = fix;
     session.events.emit(event);
     return exitOf(refusal);
 }
 
-int misused(Session& session, const std::string& message, const std::string& mend) {
-    session.events.emit(usageEvent(message, mend));
+int misused(Session& session, const std::string& message, const std::string& fix) {
+    session.events.emit(usageEvent(message, fix));
     return kUsage;
 }
 
@@ -64,7 +64,7 @@ Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std:
                                         const std::string& query, CheckOutOptions options,
                                         bool& interrupted) {
     using Answer = Result<std::vector<Entity>>;
-    const auto answer = std::make_shared<Answer>(Refusal{RefusalCode::Cancelled, "it was given up", {}});
+    const auto answer = std::make_shared<Answer>(Refusal{RefusalCode::Cancelled, "it was cancelled", {}});
     std::stop_source give_up;
     options.give_up = give_up.get_token();
     const auto started = std::chrono::steady_clock::now();
@@ -99,8 +99,8 @@ Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std:
     if (answered && answer->ok())
         for (const auto& entity : answer->value())
             static_cast<void>(session.station->release(entity.id).ok());
-    session.events.emit({{"event", "notice"}, {"message", "given up; nothing was checked out"}});
-    return Refusal{RefusalCode::Cancelled, "it was given up", {}};
+    session.events.emit({{"event", "notice"}, {"message", "cancelled; nothing was checked out"}});
+    return Refusal{RefusalCode::Cancelled, "it was cancelled", {}};
 }
 
 std::optional<Holding> Holding::of(Session& session, const std::string& name, const std::string& what,
@@ -167,8 +167,8 @@ Taken takeOut(Session& session) {
     const auto query = session.args.value("query", "");
     if (names.empty() == query.empty()) {
         return fail(misused(session,
-                            names.empty() ? "expected what to check out, found nothing"
-                                          : "expected names or --query, found both",
+                            names.empty() ? "expected entities or --query, found neither"
+                                          : "expected entities or --query, found both",
                             "axon checkout PeopleBot, or axon checkout --query '1 ROBOT/MOBILE'"));
     }
     const auto options = checkOutOptions(session.args);
@@ -194,8 +194,9 @@ Taken takeOut(Session& session) {
             return fail(misused(session, granted.refusal().message));
         if (granted.refusal().code == RefusalCode::Duplicate) {
             auto event = errorEvent(granted.refusal(), call);
-            event["mend"] =
-                "another axon checkout of yours waits for it: end that one (Ctrl-C there), or leave it to it";
+            event["fix"] =
+                "another axon checkout of yours is already waiting for it: end that one with Ctrl-C, or let "
+                "it wait";
             session.events.emit(event);
             return fail(exitOf(granted.refusal()));
         }

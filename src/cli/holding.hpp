@@ -10,7 +10,7 @@ namespace axon::cli {
 
 /// Emits the error, and gives the exit status that goes with it.
 int refuse(Session& session, const Refusal& refusal, const std::string& entity = {});
-int misused(Session& session, const std::string& message, const std::string& mend = {});
+int misused(Session& session, const std::string& message, const std::string& fix = {});
 
 /// An entity that is held for as long as this lives: the check-out that is kept anyway, or one of its own,
 /// which is released at the end. Says so with a "checked_out" event ("PeopleBot is checked out for this

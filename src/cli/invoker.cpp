@@ -20,6 +20,7 @@
 
 #include "cli/agent.hpp"
 #include "cli/agent_link.hpp"
+#include "cli/common_options.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/text.hpp"
@@ -82,7 +83,7 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
                                const Settings& settings, const std::function<void()>& end) {
     const auto* verb = findVerb(work.verb);
     if (verb == nullptr || verb->runs == Runs::Local) {
-        work.events.emit(usageEvent("the agent knows no verb " + work.verb));
+        work.events.emit(usageEvent("the agent does not know the verb " + work.verb));
         return kUsage;
     }
     // An agent that waits for the server to come back knows nothing new, and a stop must not wait with it.
@@ -157,15 +158,12 @@ std::vector<char*> pointersTo(std::vector<std::string>& words) {
 /// Starts the agent and waits until it says that it serves; its refusal to a person otherwise.
 std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place) {
     int ends[2];
-    if (::pipe2(ends, O_CLOEXEC) != 0) return usageEvent(std::string("no pipe: ") + std::strerror(errno));
+    if (::pipe2(ends, O_CLOEXEC) != 0)
+        return usageEvent(std::string("cannot create a pipe: ") + std::strerror(errno));
     Descriptor reading(ends[0]);
     Descriptor writing(ends[1]);
-    std::vector<std::string> words{
-        "axon", "agent", "run", "--server", settings.server, "--timeout", std::to_string(settings.timeout_s)};
-    if (!settings.config.empty()) words.insert(words.end(), {"--config", settings.config});
-    if (!settings.user.empty()) words.insert(words.end(), {"--user", settings.user});
-    if (!settings.name.empty()) words.insert(words.end(), {"--name", settings.name});
-    if (!settings.direct) words.emplace_back("--no-direct");
+    auto words = wordsForAgent(settings);
+    words.insert(words.begin(), {"axon", "agent", "run"});
     auto pointers = pointersTo(words);
     posix_spawn_file_actions_t actions;
     ::posix_spawn_file_actions_init(&actions);
@@ -200,7 +198,7 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
     const auto answer = Json::parse(said, nullptr, false);
     if (answer.is_object() && answer.value("ready", false)) return std::nullopt;
     if (answer.is_object() && answer.contains("event")) return answer;
-    return usageEvent("the agent did not start; its log: " + place.log.string());
+    return usageEvent("the agent did not start; see its log: " + place.log.string());
 }
 
 }  // namespace
@@ -268,11 +266,12 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
                     {{"event", "error"},
                      {"code", refusalName(RefusalCode::NotConnected)},
                      {"message",
-                      gone ? "the agent that keeps your check-outs went away; the server stops what "
-                             "it held"
+                      gone ? "the agent that keeps your check-outs has ended; the server stops the robots "
+                             "that it held"
                            : "the agent that keeps your check-outs does not answer"},
-                     {"mend", gone ? "axon ls shows how things are; axon rearm and axon checkout begin anew"
-                                   : "end the process that axon doctor names, then axon checkout again"}});
+                     {"fix",
+                      gone ? "see with axon ls what is left; then run axon checkout and axon rearm again"
+                           : "end the process that axon doctor names, then run axon checkout again"}});
                 return kNoServer;
             }
         }
@@ -286,7 +285,7 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
                 names == args.end() && task != args.end() && !task->empty()) {
                 const Refusal refusal{RefusalCode::UnknownTask,
                                       "no task " + inQuotes(task->front().get<std::string>()) +
-                                          " is kept here: nothing is checked out",
+                                          " is known here: nothing is checked out",
                                       {}};
                 events.emit(errorEvent(refusal));
                 return exitOf(refusal);
@@ -322,7 +321,7 @@ int Invoker::withoutAgent(const Verb& verb, Json args, Events& events) {
     if (!station) {
         auto event = noServerEvent(station.refusal(), settings_.server);
         if (isStop(verb.name)) {
-            event["mend"] = "NOTHING WAS STOPPED: use the robot's own stop now";
+            event["fix"] = "NOTHING WAS STOPPED: use the robot's own stop now";
         }
         events.emit(event);
         return station.refusal().code == RefusalCode::PermissionDenied ? kRefused : kNoServer;
@@ -354,7 +353,7 @@ int Invoker::start(const Verb& verb, const Json& args, Events& events) {
     }
     auto link = AgentLink::open(place->socket);
     if (!link) {
-        events.emit(usageEvent("the agent has gone again; its log: " + place->log.string()));
+        events.emit(usageEvent("the agent has ended again; see its log: " + place->log.string()));
         return kUsage;
     }
     onInterrupt([&link](int) { link->interrupt(); });
@@ -387,7 +386,7 @@ int Invoker::serveAgent(int ready_fd) {
         ours = locked();
     }
     if (!ours) {
-        say(usageEvent("another agent has " + place->lock.string() + " and does not listen"));
+        say(usageEvent("another agent holds " + place->lock.string() + " but does not listen"));
         return kUsage;
     }
     auto station = connect_(settings_);
@@ -407,7 +406,7 @@ int Invoker::serveAgent(int ready_fd) {
         [&](const Agent::Work& work) {
             AgentLog::write(work.verb + " " + line(work.args));
             const auto exit = performKept(work, kept, settings_, [&agent] { agent->stop(); });
-            AgentLog::write(work.verb + (exit ? ": exit " + std::to_string(*exit) : ": is not for here"));
+            AgentLog::write(work.verb + (exit ? ": exit " + std::to_string(*exit) : ": not for this agent"));
             return exit;
         },
         [kept] { return !kept->held().empty(); }, kLinger);

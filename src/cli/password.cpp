@@ -40,11 +40,11 @@ Result<std::string> readPassword(const std::filesystem::path& file) {
     const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
     if (!fd.open()) return refused(std::string("cannot be read: ") + std::strerror(errno));
     struct stat found {};
-    if (::fstat(fd.get(), &found) != 0 || !S_ISREG(found.st_mode))
-        return refused("should be an ordinary file");
-    if (found.st_uid != ::geteuid()) return refused("belongs to another user: make one of your own");
+    if (::fstat(fd.get(), &found) != 0 || !S_ISREG(found.st_mode)) return refused("is not an ordinary file");
+    if (found.st_uid != ::geteuid()) return refused("belongs to another user: create one of your own");
     if ((found.st_mode & 077U) != 0)
-        return refused("may be read by others: chmod 600 " + file.string() + ", and change the password");
+        return refused("can be read by other users: chmod 600 " + file.string() +
+                       ", and change the password");
     auto password = readLine(fd.get());
     if (password.empty()) return refused("has no password in its first line");
     return password;
@@ -54,7 +54,7 @@ std::optional<std::string> askPassword(const std::string& user, const std::strin
     const Descriptor terminal(::open("/dev/tty", O_RDWR | O_CLOEXEC | O_NOCTTY));
     termios before{};
     if (!terminal.open() || ::tcgetattr(terminal.get(), &before) != 0) return std::nullopt;
-    const auto prompt = "password of " + printable(user) + " at " + printable(server) + ": ";
+    const auto prompt = "Password of " + printable(user) + " at " + printable(server) + ": ";
     auto silent = before;
     silent.c_lflag &= ~static_cast<tcflag_t>(ECHO);
     if (::tcsetattr(terminal.get(), TCSAFLUSH, &silent) != 0) return std::nullopt;

@@ -9,7 +9,7 @@
 // Where passwords come from; never from the command line, which every user of the machine can read.
 namespace axon::cli {
 
-/// The first line of the file. PERMISSION_DENIED with the mend when others may read it, or it is not this
+/// The first line of the file. PERMISSION_DENIED with the fix when others may read it, or it is not this
 /// user's.
 Result<std::string> readPassword(const std::filesystem::path& file);
 

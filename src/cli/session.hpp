@@ -72,7 +72,7 @@ class Mailbox {
     unsigned interrupts_taken_ = 0;
 };
 
-/// The options that all verbs share.
+/// What the options say that all verbs share (common_options.hpp), and the configuration that they name.
 struct Settings {
     std::string server = "127.0.0.1:10410";
     std::string user, password, name;

@@ -33,8 +33,6 @@ std::string valuesText(const Json& values) {
     return text;
 }
 
-namespace {
-
 Tint stateTint(const std::string& state) {
     if (state == "ERR" || state == "UNAV") return Tint::Red;
     if (state == "BUSY" || state == "COLLAB" || state == "SLAVE") return Tint::Cyan;
@@ -42,36 +40,13 @@ Tint stateTint(const std::string& state) {
     return Tint::None;
 }
 
-std::string holderText(const Json& entity) {
-    const std::string lost = entity.value("orphaned", false) ? " (lost)" : "";
-    if (entity.value("yours", false)) return "you" + lost;
-    const auto holder = textOf(entity, "holder");
-    return holder.empty() ? holder : holder + lost;
-}
-
-/// "INT mm", and what its values may be.
-std::string typeText(const Json& parameter) {
-    auto text = textOf(parameter, "data_type");
-    if (const auto units = textOf(parameter, "units"); !units.empty()) text += " " + units;
-    return text;
-}
-
-std::string allowedText(const Json& parameter) {
-    if (parameter.contains("choices")) return valuesText(parameter["choices"]);
-    const bool low = parameter.contains("minimum");
-    const bool high = parameter.contains("maximum");
-    if (low && high) return valueText(parameter["minimum"]) + " to " + valueText(parameter["maximum"]);
-    if (low) return "from " + valueText(parameter["minimum"]);
-    if (high) return "up to " + valueText(parameter["maximum"]);
-    return {};
-}
-
-/// `precision_ms`: what is shorter cannot be told apart from nothing.
-std::string stageText(const Json& milliseconds, double precision_ms = 0) {
+std::string stageText(const Json& milliseconds, double precision_ms) {
     if (milliseconds.is_number() && milliseconds.get<double>() < precision_ms)
         return "< " + duration(precision_ms / 1000);
     return milliseconds.is_number() ? duration(milliseconds.get<double>() / 1000) : "-";
 }
+
+namespace {
 
 /// "x=1.5 y=2" for {"pose": {"x": 1.5, "y": 2, "frame": ""}}; the beginning of long lists.
 std::string sampleText(const Json& sample) {
@@ -207,12 +182,12 @@ void PersonView::show(const Json& event) {
     if (kind == "global_service") return showGlobalService(event);
     if (kind == "binding") return showBinding(event);
     if (kind == "run") return showRun(event);
-    if (kind == "run_begun") return say(textOf(event, "service") + " runs");
+    if (kind == "run_begun") return say(textOf(event, "service") + " is running");
     if (kind == "runs") return showRuns(event);
     if (kind == "run_record") return showRunRecord(event);
     if (kind == "uploaded") {
-        return say(paint("✓", Tint::Green) + " " + textOf(event, "entity") + " has " +
-                   textOf(event, "resource") + " of " + textOf(event, "service"));
+        return say(paint("✓", Tint::Green) + " " + textOf(event, "resource") + " of " +
+                   textOf(event, "service") + " was uploaded to " + textOf(event, "entity"));
     }
     if (kind == "set") {
         const auto units = textOf(event, "units");
@@ -235,9 +210,9 @@ void PersonView::show(const Json& event) {
         wipe();
         auto why = textOf(event, "message");
         if (why.ends_with('.')) why.pop_back();
-        err_ << paint(
-                    "axon: " + why + "; " + textOf(event, "entity") + " stands still and is kept for a while",
-                    Tint::Yellow)
+        err_ << paint("axon: " + why + "; " + textOf(event, "entity") +
+                          " stands still and stays yours for a while",
+                      Tint::Yellow)
              << '\n'
              << std::flush;
         return;
@@ -265,7 +240,7 @@ void PersonView::show(const Json& event) {
                          Tint::Yellow));
     }
     if (kind == "watching") {
-        if (terminal_.live) say(paint("watching " + textOf(event, "entity") + ", Ctrl-C ends it", Tint::Dim));
+        if (terminal_.live) say(paint("watching " + textOf(event, "entity") + "; Ctrl-C ends it", Tint::Dim));
         return;
     }
     if (kind == "sent") {
@@ -276,9 +251,9 @@ void PersonView::show(const Json& event) {
     if (kind == "done") {
         static const std::pair<const char*, const char*> kSaid[] = {
             {"rearm", "is rearmed and takes tasks again"},
-            {"pause", "is to pause"},
-            {"resume", "is to go on"},
-            {"cancel", "is to end"}};
+            {"pause", "will pause"},
+            {"resume", "will continue"},
+            {"cancel", "will be cancelled"}};
         if (const auto verb = event.value("verb", ""); verb == "reset" || verb == "clear")
             return showCommand(event);
         if (event.value("verb", "") == "handover") {
@@ -296,163 +271,6 @@ void PersonView::show(const Json& event) {
     if (kind == "version") return say("axon " + textOf(event, "version"));
     if (kind == "notice") return say(paint(textOf(event, "message"), Tint::Dim));
     if (kind == "line") return say(textOf(event, "text", true));
-}
-
-void PersonView::showEntities(const Json& event) {
-    const auto& list = event.at("entities");
-    const auto sayHidden = [&] {
-        if (const auto hidden = event.value("not_ready", 0); hidden > 0)
-            say(paint(std::to_string(hidden) + (hidden == 1 ? " entity is" : " entities are") +
-                          " not ready: axon ls --all shows why",
-                      Tint::Dim));
-    };
-    if (list.empty()) {
-        say("no entities at " + textOf(event, "server") +
-            " yet: start a robot's application and its "
-            "axon-entity-manager");
-        return sayHidden();
-    }
-    std::vector<std::string> head{"NAME",  "CATEGORY", "TYPE", "STATE", "HOLDER",
-                                  "LATCH", "WAITING",  "STOP", "REASON"};
-    const bool uuid = event.value("uuid", false);
-    if (uuid) head.emplace_back("UUID");
-    Table table(head);
-    for (const auto& entity : list) {
-        const auto state = textOf(entity, "state");
-        const auto holder = holderText(entity);
-        const auto waiting = entity.value("waiting", 0);
-        const auto latency = entity.value("stop_latency_ms", Json());
-        std::vector<Cell> row{{textOf(entity, "call"), Tint::Bold},
-                              {textOf(entity, "category")},
-                              {textOf(entity, "type")},
-                              {state, stateTint(state)},
-                              {holder.empty() ? "-" : holder, holder == "you" ? Tint::Green : Tint::None},
-                              {entity.value("latched", false) ? "stopped" : "", Tint::Yellow},
-                              {waiting > 0 ? std::to_string(waiting) : ""},
-                              {latency.is_number() ? stageText(latency) : ""},
-                              {textOf(entity, "reason"), Tint::Dim}};
-        if (uuid) row.push_back({textOf(entity, "id")});
-        table.add(std::move(row));
-    }
-    wipe();
-    out_ << table.text(terminal_.colour) << std::flush;
-    sayHidden();
-}
-
-void PersonView::showEntity(const Json& event) {
-    const auto& entity = event.at("entity");
-    const auto call = textOf(entity, "call");
-    const auto state = textOf(entity, "state");
-    const auto holder = holderText(entity);
-    wipe();
-    if (entity.value("ready", true)) {
-        out_ << paint(call, Tint::Bold) << "  " << textOf(entity, "category") << ' ' << textOf(entity, "type")
-             << "  " << paint(state, stateTint(state)) << "  "
-             << (holder.empty() ? "free" : "held by " + holder) << '\n';
-    } else {
-        out_ << paint(call, Tint::Bold) << "  not ready  " << paint(state, stateTint(state)) << '\n';
-    }
-    if (entity.value("yours", false))
-        out_ << "  "
-             << paint(entity.value("direct", false) ? "messages go straight to its Entity Manager"
-                                                    : "messages go by the servers",
-                      Tint::Dim)
-             << '\n';
-    if (entity.value("latched", false)) {
-        out_ << "  " << paint("stopped: refuses tasks until axon rearm " + shellWord(call), Tint::Yellow)
-             << '\n';
-    }
-    if (const auto reason = textOf(entity, "reason"); !reason.empty())
-        out_ << "  " << paint(reason, Tint::Red) << '\n';
-    if (entity.value("orphaned", false)) {
-        out_ << "  "
-             << paint("its holder is lost; it stands still and is free when the holder is not back in time",
-                      Tint::Yellow)
-             << '\n';
-    }
-    if (const auto waiting = entity.value("waiting", 0); waiting > 0)
-        out_ << "  " << waiting << (waiting == 1 ? " waits" : " wait") << " for it\n";
-    if (const auto latency = entity.value("stop_latency_ms", Json()); latency.is_number())
-        out_ << "  stop latency " << stageText(latency) << " (the servers' last drill)\n";
-    for (const auto& margin : event.value("watchdogs", Json::array())) {
-        const auto timeout = margin.value("timeout_ms", 0.0);
-        const auto gap = margin.value("longest_gap_ms", 0.0);
-        const bool near = timeout > 0 && gap > timeout / 2;
-        out_ << "  "
-             << paint(fmt::format("dead-man {}: stops after {}, longest gap of the last minute {}",
-                                  textOf(margin, "hop"), stageText(timeout), stageText(gap)),
-                      near ? Tint::Yellow : Tint::Dim)
-             << '\n';
-    }
-    for (const auto& finding : event.value("findings", Json::array())) {
-        out_ << "  " << paint(textOf(finding, "message"), Tint::Yellow) << '\n';
-        if (const auto mend = textOf(finding, "mend"); !mend.empty()) out_ << "    mend: " << mend << '\n';
-    }
-    if (const auto descr = textOf(entity, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
-    out_ << fmt::format("  at {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
-                        entity.value("y_mm", 0.0), entity.value("z_mm", 0.0),
-                        paint(textOf(entity, "id"), Tint::Dim));
-    for (const auto& service : event.at("services")) {
-        out_ << '\n' << paint(textOf(service, "name"), Tint::Bold);
-        if (const auto id = textOf(service, "global_id"); !id.empty()) out_ << " (" << id << ")";
-        out_ << "  ";
-        const auto& missing = service.at("missing");
-        if (!service.value("active", true)) {
-            const auto why = textOf(service, "inactive_reason");
-            out_ << paint(
-                "switched off" + (why.empty() ? std::string(" by the robot application") : ": " + why),
-                Tint::Red);
-        } else if (service.value("executing", false)) {
-            out_ << paint("running", Tint::Cyan);
-        } else if (!missing.empty()) {
-            out_ << paint("needs " + valuesText(missing), Tint::Yellow);
-        } else {
-            out_ << paint("ready", Tint::Green);
-        }
-        if (textOf(service, "type") == "CMPLX")
-            out_ << "; composite of " << valuesText(service.value("parts", Json::array()));
-        if (!service.value("blocking", true)) out_ << "; runs beside others";
-        if (service.value("pausable", false)) out_ << "; pausable";
-        out_ << '\n';
-        if (const auto descr = textOf(service, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
-        if (const auto notes = textOf(service, "notes"); !notes.empty())
-            out_ << "  " << paint(notes, Tint::Dim) << '\n';
-        const auto isMissing = [&](const std::string& name) {
-            return std::any_of(missing.begin(), missing.end(), [&](const Json& one) { return one == name; });
-        };
-        if (const auto& parameters = service.at("parameters"); !parameters.empty()) {
-            Table table({"PARAMETER", "KIND", "TYPE", "VALUE", "ALLOWED", "", "DESCRIPTION"}, 2);
-            for (const auto& parameter : parameters) {
-                std::string marks;
-                if (parameter.value("required", false)) marks = "required";
-                if (parameter.value("multiple", false)) marks += marks.empty() ? "several" : ", several";
-                if (parameter.value("savable", false)) marks += marks.empty() ? "kept" : ", kept";
-                const bool lacking = isMissing(parameter.value("name", ""));
-                table.add({{textOf(parameter, "name")},
-                           {lowerCase(textOf(parameter, "type"))},
-                           {typeText(parameter)},
-                           {lacking ? "missing" : valuesText(parameter.at("values")),
-                            lacking ? Tint::Yellow : Tint::None},
-                           {allowedText(parameter)},
-                           {marks},
-                           {textOf(parameter, "descr"), Tint::Dim}});
-            }
-            out_ << table.text(terminal_.colour);
-        }
-        if (const auto& resources = service.at("resources"); !resources.empty()) {
-            Table table({"RESOURCE", "SIZE", "", "DESCRIPTION"}, 2);
-            for (const auto& resource : resources) {
-                const bool there = resource.value("ready", false);
-                table.add({{textOf(resource, "name")},
-                           {there ? byteCount(resource.value("size", 0.0)) : "missing",
-                            there ? Tint::None : Tint::Yellow},
-                           {resource.value("required", false) ? "required" : ""},
-                           {textOf(resource, "descr"), Tint::Dim}});
-            }
-            out_ << table.text(terminal_.colour);
-        }
-    }
-    out_ << std::flush;
 }
 
 void PersonView::showTask(const Json& event) {
@@ -475,7 +293,7 @@ void PersonView::showTask(const Json& event) {
         if (const auto& reason = event.at("reason"); !good && reason.is_object()) {
             Refusal refusal{RefusalCode::Ok, reason.value("message", ""), reason.value("holder", "")};
             Json error{{"event", "error"}, {"code", reason.value("code", "")}, {"message", refusal.message}};
-            if (event.contains("mend")) error["mend"] = event["mend"];
+            if (event.contains("fix")) error["fix"] = event["fix"];
             showError(error);
         } else if (!good && !feedback.empty()) {
             out_ << "  " << feedback << '\n';
@@ -516,7 +334,7 @@ void PersonView::showTask(const Json& event) {
 void PersonView::showTasks(const Json& event) {
     const auto& list = event.at("tasks");
     const auto forgotten = event.value("forgotten", std::size_t{0});
-    if (list.empty() && forgotten == 0) return say("no tasks were begun here");
+    if (list.empty() && forgotten == 0) return say("no tasks were started here");
     Table table({"ID", "ENTITY", "SERVICE", "STATE", "PROGRESS", "REASON"});
     for (const auto& task : list) {
         const auto state = textOf(task, "state");
@@ -533,8 +351,8 @@ void PersonView::showTasks(const Json& event) {
     wipe();
     out_ << table.text(terminal_.colour);
     if (forgotten > 0)
-        out_ << paint(fmt::format("{} older {} over and no longer listed", forgotten,
-                                  forgotten == 1 ? "is" : "are"),
+        out_ << paint(fmt::format("{} older {} ended and {} no longer listed", forgotten,
+                                  forgotten == 1 ? "task has" : "tasks have", forgotten == 1 ? "is" : "are"),
                       Tint::Dim)
              << '\n';
     out_ << std::flush;
@@ -546,74 +364,6 @@ void PersonView::showUpload(const Json& event) {
     progress(fmt::format("{}  {} {}  {} of {}", textOf(event, "resource"), progressBar(part, 30),
                          percent(part), byteCount(event.value("sent", 0.0)), byteCount(total)),
              part);
-}
-
-void PersonView::showCommand(const Json& event) {
-    const auto tasks = [](int count) {
-        return count == 1 ? std::string("1 task") : fmt::format("{} tasks", count);
-    };
-    const int ended = event.value("tasks_ended", 0);
-    const int removed = event.value("tasks_removed", 0);
-    auto said = textOf(event, "entity") + (ended > 0 ? " has ended " + tasks(ended) : " ran no task");
-    if (event.value("verb", "") == "clear")
-        said += removed > 0 ? fmt::format(", and {} that waited {} removed", tasks(removed),
-                                          removed == 1 ? "is" : "are")
-                            : ", and none waited";
-    else if (ended > 0)
-        said += "; the next one that waits begins";
-    say(said);
-    if (!event.value("confirmed", true))
-        err_ << paint("axon: its stop callback has not returned yet: look at the robot", Tint::Red) << '\n'
-             << std::flush;
-}
-
-void PersonView::showReceipts(const Json& event) {
-    const auto& list = event.at("receipts");
-    if (list.empty()) return;  // a notice says so
-    Table table({"STOPPED", "SERVER", "MANAGER", "CALLBACK", "STANDSTILL", "STATE", "RECEIPT"});
-    for (const auto& receipt : list) {
-        const bool confirmed = receipt.value("confirmed", false);
-        const bool no_application = receipt.value("no_application", false);
-        const auto state = textOf(receipt, "state");
-        const auto precision = receipt.value("precision_ms", 0.0);
-        std::string verdict = confirmed ? "✓ confirmed" : "✗ NOT CONFIRMED";
-        if (confirmed && no_application) verdict = "✓ no application, nothing to stop";
-        const bool rolls =
-            confirmed && receipt.value("standstill_follows", false) && receipt.at("standstill_ms").is_null();
-        table.add({{textOf(receipt, "call"), Tint::Bold},
-                   {stageText(receipt.at("server_ms"), precision)},
-                   {stageText(receipt.at("manager_ms"), precision)},
-                   {stageText(receipt.at("callback_returned_ms"), precision)},
-                   {rolls ? "not yet" : stageText(receipt.at("standstill_ms"), precision)},
-                   {state, stateTint(state)},
-                   {verdict, confirmed ? Tint::Green : Tint::Red}});
-    }
-    wipe();
-    out_ << table.text(terminal_.colour) << std::flush;
-    for (const auto& receipt : list)
-        if (const auto fault = textOf(receipt, "fault"); !fault.empty())
-            err_ << paint("axon: the stop callback of " + textOf(receipt, "call") +
-                              " is called again and again: " + fault,
-                          Tint::Red)
-                 << '\n';
-    for (const auto& receipt : list) {
-        const auto lost = textOf(receipt, "application_lost");
-        if (lost.empty()) continue;
-        const auto since = receipt.at("application_lost_s");
-        err_ << paint("axon: " + textOf(receipt, "call") +
-                          " may be moving: its robot application was there and cannot be "
-                          "reached" +
-                          (since.is_number() ? fmt::format(" since {:.1f} s", since.get<double>()) : "") +
-                          ": " + lost,
-                      Tint::Red)
-             << '\n';
-    }
-    if (!event.value("confirmed", false)) {
-        err_ << paint("axon: not every stop is confirmed: go and look, use the emergency stop of the robot",
-                      Tint::Red)
-             << '\n'
-             << std::flush;
-    }
 }
 
 void PersonView::showCheckedOut(const Json& event) {
@@ -628,7 +378,7 @@ void PersonView::showCheckedOut(const Json& event) {
     const auto& entities = event.at("entities");
     const auto already = event.value("already", Json::array());
     if (!already.empty())
-        say(names(already) + (already.size() == 1 ? " is yours already" : " are yours already"));
+        say(names(already) + (already.size() == 1 ? " is already yours" : " are already yours"));
     if (entities.empty()) return;
     const std::string are = entities.size() == 1 ? " is" : " are";
     if (event.contains("for")) {
@@ -655,7 +405,7 @@ void PersonView::showFinding(const Json& event) {
                       : level == "warn" ? paint("!", Tint::Yellow)
                                         : paint("✗", Tint::Red);
     say(mark + " " + textOf(event, "name") + ": " + textOf(event, "message"));
-    if (const auto mend = textOf(event, "mend"); !mend.empty()) say("    mend: " + mend);
+    if (const auto fix = textOf(event, "fix"); !fix.empty()) say("    fix: " + fix);
 }
 
 void PersonView::showCertificates(const Json& list) {
@@ -692,7 +442,7 @@ void PersonView::showHandOver(const Json& event) {
     wipe();
     const auto entity = textOf(event, "entity");
     if (event.value("withdrawn", false)) {
-        say(textOf(event, "by") + " does not ask for " + entity + " any more");
+        say(textOf(event, "by") + " no longer asks for " + entity);
         return;
     }
     const auto reason = textOf(event, "reason");
@@ -703,61 +453,20 @@ void PersonView::showHandOver(const Json& event) {
     const auto answer = textOf(event, "answer");
     const bool yield = event.value("yield", false);
     if (answer.empty()) {
-        err_ << "\nnobody can answer for this command: it " << (yield ? "is handed over" : "is refused")
-             << (within > 0 ? " after " + duration(within) : "") << '\n';
+        err_ << "\nnobody can answer for this command: " << entity << " "
+             << (yield ? "is handed over" : "stays here") << (within > 0 ? " after " + duration(within) : "")
+             << '\n';
     } else {
         err_ << "\nanswer" << (within > 0 ? " within " + duration(within) : "") << ": " << answer
-             << " accept, or refuse; silence " << (yield ? "hands it over" : "refuses") << '\n';
+             << " accept, or refuse; no answer " << (yield ? "hands it over" : "refuses") << '\n';
     }
     err_ << std::flush;
 }
 
-void PersonView::showDrill(const Json& event) {
-    wipe();
-    const auto& callback = event.at("callback");
-    const auto& manager = event.at("manager");
-    out_ << paint(textOf(event, "entity"), Tint::Bold) << "  " << event.value("tries", 0)
-         << (event.value("tries", 0) == 1 ? " try" : " tries");
-    if (event.value("no_application", false))
-        out_ << "; " << paint("no robot application is linked", Tint::Yellow);
-    out_ << '\n';
-    Table table({"TO AND BACK", "N", "P50", "P90", "P99", "P99.9", "MAX", "NEVER"}, 2);
-    for (const auto& [name, part] : {std::pair<const char*, const Json&>{"manager", manager},
-                                     std::pair<const char*, const Json&>{"robot application", callback}}) {
-        if (part.value("n", 0) == 0) continue;
-        const auto never = part.value("never_arrived", 0);
-        const auto cell = [&](const char* member) -> Cell {
-            const auto value = part.value(member, Json());
-            if (value.is_number()) return {stageText(value)};
-            return {value.is_string() ? "never" : ""};
-        };
-        table.add({{name},
-                   {std::to_string(part.value("n", 0))},
-                   cell("p50_ms"),
-                   cell("p90_ms"),
-                   cell("p99_ms"),
-                   cell("p999_ms"),
-                   cell("max_ms"),
-                   {std::to_string(never), never > 0 ? Tint::Red : Tint::None}});
-    }
-    out_ << table.text(terminal_.colour);
-    const auto& shown = callback.value("n", 0) > 0 ? callback : manager;
-    double most = 0;
-    for (const auto& bin : shown.at("histogram")) most = std::max(most, bin.value("count", 0.0));
-    for (const auto& bin : shown.at("histogram")) {
-        const auto count = bin.value("count", 0.0);
-        const auto width = static_cast<std::size_t>(count / most * 40 + 0.5);
-        const std::string bar(count > 0 ? std::max<std::size_t>(width, 1) : 0, '#');
-        out_ << fmt::format("  {:>9}  {}{}{:.0f}\n", "≤ " + stageText(bin.at("up_to_ms")), bar,
-                            bar.empty() ? "" : " ", count);
-    }
-    out_ << std::flush;
-}
-
 void PersonView::showAgent(const Json& event) {
-    if (!event.value("running", false)) return say("nothing is kept here: no agent is running");
-    say(fmt::format("agent {} of {} keeps the session {}", event.value("pid", 0), textOf(event, "server"),
-                    textOf(event, "self")) +
+    if (!event.value("running", false)) return say("no agent is running, and nothing is checked out here");
+    say(fmt::format("agent {} keeps the session {} at {}", event.value("pid", 0), textOf(event, "self"),
+                    textOf(event, "server")) +
         (event.value("connected", false) ? "" : paint(", which is NOT CONNECTED", Tint::Red)));
     for (const auto& entity : event.at("held"))
         say("  holds " + textOf(entity, "call") + "  " +
@@ -781,7 +490,7 @@ void PersonView::showError(const Json& event) {
         !holder.empty() && message.find(holder) == std::string::npos) {
         err_ << "held by: " << holder << '\n';
     }
-    if (const auto mend = textOf(event, "mend"); !mend.empty()) err_ << "mend: " << mend << '\n';
+    if (const auto fix = textOf(event, "fix"); !fix.empty()) err_ << "fix: " << fix << '\n';
     err_ << std::flush;
 }
 

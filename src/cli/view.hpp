@@ -19,7 +19,7 @@ struct Terminal {
     static Terminal ofStandardOutput();
 };
 
-/// Shows events to a person: tables, progress that redraws itself, errors as `axon: what (CODE)` and `mend:
+/// Shows events to a person: tables, progress that redraws itself, errors as `axon: what (CODE)` and `fix:
 /// …` on the error stream. The only place that turns events into text. Threads: one.
 class PersonView final : public Events {
   public:

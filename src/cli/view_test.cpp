@@ -163,12 +163,12 @@ TEST_F(View, ShowsWhatIsNotAsItsProfilesMeanIt) {
     entity["call"] = "Cyton";
     shown({{{"event", "entity"},
             {"entity", entity},
-            {"findings", {{{"message", "a saved value was dropped"}, {"mend", "set it again"}}}},
+            {"findings", {{{"message", "a saved value was dropped"}, {"fix", "set it again"}}}},
             {"services", Json::array()}}});
     EXPECT_EQ(out.str(),
               "Cyton  ROBOT STATIONARY  IDLE  free\n"
               "  a saved value was dropped\n"
-              "    mend: set it again\n"
+              "    fix: set it again\n"
               "  at 0, 0, 0 mm  33333333-0000-4000-8000-000000000003\n");
 }
 
@@ -214,7 +214,7 @@ TEST_F(View, SaysHowManyTasksTheListLeavesOut) {
     task["id"] = "3f2a1b4c-0000-4000-8000-000000000001";
     task["reason"] = nullptr;
     EXPECT_THAT(shown({{{"event", "tasks"}, {"tasks", Json::array({task})}, {"forgotten", 12}}}),
-                HasSubstr("12 older are over and no longer listed\n"));
+                HasSubstr("12 older tasks have ended and are no longer listed\n"));
 }
 
 TEST_F(View, RedrawsProgressOnATerminalAndTakesItAway) {
@@ -229,12 +229,12 @@ TEST_F(View, RedrawsProgressOnATerminalAndTakesItAway) {
               "\r\x1b[K✗ PeopleBot Driving stopped after 3.0 s\n");
 }
 
-TEST_F(View, TellsWhyATaskFailedAndHowToMendIt) {
+TEST_F(View, TellsWhyATaskFailedAndHowToFixIt) {
     auto refused = taskEvent(TaskState::Refused, -1, "", 0.1);
     refused["reason"] = {{"code", "LATCHED"}, {"message", "PeopleBot was stopped"}};
-    refused["mend"] = "axon rearm PeopleBot";
+    refused["fix"] = "axon rearm PeopleBot";
     EXPECT_EQ(shown({refused}), "✗ PeopleBot Driving refused after 100 ms\n");
-    EXPECT_EQ(err.str(), "axon: PeopleBot was stopped (LATCHED)\nmend: axon rearm PeopleBot\n");
+    EXPECT_EQ(err.str(), "axon: PeopleBot was stopped (LATCHED)\nfix: axon rearm PeopleBot\n");
 }
 
 TEST_F(View, ShowsTheReceiptOfAStopStageByStage) {
@@ -258,7 +258,7 @@ TEST_F(View, ShowsTheReceiptOfAStopStageByStage) {
               "Cyton      0.4 ms  0.9 ms   -         -           REG    ✗ NOT CONFIRMED\n");
     EXPECT_THAT(err.str(), HasSubstr("not every stop is confirmed"));
     EXPECT_THAT(err.str(),
-                HasSubstr("the stop callback of Cyton is called again and again: it threw: no brake"));
+                HasSubstr("the stop callback of Cyton fails and is called again: it threw: no brake"));
 }
 
 TEST_F(View, WhatTheClockCannotTellIsNotZero) {
@@ -286,10 +286,9 @@ TEST_F(View, ARobotWhoseApplicationIsLostIsNeverShownAsNothingToStop) {
     EXPECT_EQ(shown({{{"event", "receipts"}, {"confirmed", false}, {"receipts", list}}}),
               "STOPPED    SERVER  MANAGER  CALLBACK  STANDSTILL  STATE  RECEIPT\n"
               "PeopleBot  0.4 ms  0.9 ms   -         -           UNAV   ✗ NOT CONFIRMED\n");
-    EXPECT_THAT(err.str(),
-                HasSubstr("PeopleBot may be moving: its robot application was there and cannot be reached "
-                          "since 12.5 s: the robot application has been silent for 250 ms"));
-    EXPECT_THAT(err.str(), HasSubstr("go and look"));
+    EXPECT_THAT(err.str(), HasSubstr("PeopleBot may be moving: its robot application has not been reachable "
+                                     "for 12.5 s: the robot application has been silent for 250 ms"));
+    EXPECT_THAT(err.str(), HasSubstr("look at the robots"));
 }
 
 TEST_F(View, ShowsWhoHasNotComeToRestYet) {
@@ -315,21 +314,21 @@ TEST_F(View, SaysWhatAResetAndAClearHaveDone) {
                        {"tasks_ended", ended},
                        {"tasks_removed", removed}}});
     };
-    EXPECT_EQ(done("reset", 1, 0), "Cyton has ended 1 task; the next one that waits begins\n");
-    EXPECT_EQ(done("reset", 0, 0), "Cyton ran no task\n");
-    EXPECT_EQ(done("clear", 2, 1), "Cyton has ended 2 tasks, and 1 task that waited is removed\n");
-    EXPECT_EQ(done("clear", 0, 0, false), "Cyton ran no task, and none waited\n");
+    EXPECT_EQ(done("reset", 1, 0), "Cyton has ended 1 task; the next waiting task starts\n");
+    EXPECT_EQ(done("reset", 0, 0), "Cyton was running no task\n");
+    EXPECT_EQ(done("clear", 2, 1), "Cyton has ended 2 tasks, and removed 1 waiting task\n");
+    EXPECT_EQ(done("clear", 0, 0, false), "Cyton was running no task, and none was waiting\n");
     EXPECT_THAT(err.str(), HasSubstr("its stop callback has not returned yet"));
 }
 
-TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {
+TEST_F(View, ShowsErrorsWithCodeHolderAndFix) {
     shown({errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is not free", "cl2@lab"}, "PeopleBot")});
     EXPECT_EQ(out.str(), "");
-    EXPECT_EQ(
-        err.str(),
-        "axon: PeopleBot is not free (ALREADY_HELD)\n"
-        "held by: cl2@lab\n"
-        "mend: ask cl2@lab for it: axon checkout PeopleBot --ask REASON; or wait until it is free: --wait\n");
+    EXPECT_EQ(err.str(),
+              "axon: PeopleBot is not free (ALREADY_HELD)\n"
+              "held by: cl2@lab\n"
+              "fix: ask cl2@lab for it: axon checkout PeopleBot --ask REASON; or wait until it is free: "
+              "axon checkout PeopleBot --wait\n");
 }
 
 TEST_F(View, ShowsSamplesAsPeopleReadThem) {

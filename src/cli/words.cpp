@@ -6,6 +6,8 @@
 #include <set>
 #include <utility>
 
+#include "common/refusal.hpp"
+
 namespace axon::cli {
 namespace {
 
@@ -42,51 +44,10 @@ Json milliseconds(const std::optional<Seconds>& time) {
     return time ? Json(time->count() * 1000) : Json(nullptr);
 }
 
-std::string mendFor(const Refusal& refusal, const std::string& entity) {
-    const auto x = entity.empty() ? std::string("ENTITY") : shellWord(entity);
-    switch (refusal.code) {
-        case RefusalCode::AlreadyHeld:
-        case RefusalCode::Reserved:
-            return refusal.holder.empty()
-                       ? "axon ls shows who holds it; wait for it with: axon checkout " + x + " --wait"
-                       : "ask " + refusal.holder + " for it: axon checkout " + x +
-                             " --ask REASON; or wait until it is free: --wait";
-        case RefusalCode::HandOverRefused:
-            return "wait until it is free: axon checkout " + x + " --wait";
-        case RefusalCode::Latched:
-            return "axon rearm " + x + ", when it is safe to move again";
-        case RefusalCode::NotHolder:
-            return "axon checkout " + x;
-        case RefusalCode::OlderLease:
-        case RefusalCode::RevokedLease:
-        case RefusalCode::WrongEpoch:
-            return "the check-out was lost: axon checkout " + x + " again";
-        case RefusalCode::UnknownEntity:
-            return "axon ls shows what there is";
-        case RefusalCode::UnknownService:
-        case RefusalCode::UnknownParameter:
-        case RefusalCode::UnknownResource:
-        case RefusalCode::WrongType:
-        case RefusalCode::WrongUnits:
-        case RefusalCode::OutOfRange:
-        case RefusalCode::InactiveService:
-            return "axon info " + x + " shows the services and what they take";
-        case RefusalCode::MissingDependency:
-            return "give the parameters to axon run, or once with axon set; files with axon upload";
-        case RefusalCode::UnknownTask:
-            return "axon tasks shows the tasks that are known here";
-        case RefusalCode::Blocked:
-        case RefusalCode::QueueFull:
-            return "axon tasks shows what is running; axon cancel " + x + " ends it";
-        case RefusalCode::NotConnected:
-            return "axon doctor shows what is wrong";
-        case RefusalCode::Unavailable:
-            return "axon doctor shows what is wrong with it, and what to do";
-        case RefusalCode::RobotLost:
-            return "look at the robot: its application lives, and the robot does not answer it";
-        default:
-            return {};
-    }
+/// What a person can do about it; empty where the message says it.
+std::string fixFor(const Refusal& refusal, const std::string& entity) {
+    return remedyFor(refusal.code, entity.empty() ? "ENTITY" : shellWord(entity),
+                     refusal.holder.empty() ? "its holder" : refusal.holder);
 }
 
 }  // namespace
@@ -174,7 +135,7 @@ Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elap
     event["elapsed_s"] = elapsed.count();
     if (!report.reason.ok()) {
         const auto error = errorEvent(report.reason, entity);
-        if (error.contains("mend")) event["mend"] = error["mend"];
+        if (error.contains("fix")) event["fix"] = error["fix"];
     }
     return event;
 }
@@ -236,7 +197,7 @@ Json toJson(const RunReport& report) {
             if (problem.entity.empty()) json["entity"] = step.name;
         }
         const auto error = errorEvent(problem.refusal, json["entity"].get<std::string>());
-        for (const auto* member : {"code", "message", "holder", "mend"}) {
+        for (const auto* member : {"code", "message", "holder", "fix"}) {
             if (error.contains(member)) json[member] = error[member];
         }
         problems.push_back(std::move(json));
@@ -361,13 +322,13 @@ Json toJson(const HandOverRequest& request, const std::string& entity, const std
 Json errorEvent(const Refusal& refusal, const std::string& entity) {
     Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
     if (!refusal.holder.empty()) json["holder"] = refusal.holder;
-    if (const auto mend = mendFor(refusal, entity); !mend.empty()) json["mend"] = mend;
+    if (const auto fix = fixFor(refusal, entity); !fix.empty()) json["fix"] = fix;
     return json;
 }
 
-Json usageEvent(const std::string& message, const std::string& mend) {
+Json usageEvent(const std::string& message, const std::string& fix) {
     Json json{{"event", "error"}, {"code", "USAGE"}, {"message", message}};
-    if (!mend.empty()) json["mend"] = mend;
+    if (!fix.empty()) json["fix"] = fix;
     return json;
 }
 
@@ -375,31 +336,18 @@ Json noServerEvent(const Refusal& refusal, const std::string& server) {
     Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
     if (json["message"].get_ref<const std::string&>().empty()) json["message"] = "no server at " + server;
     if (refusal.code != RefusalCode::PermissionDenied && refusal.code != RefusalCode::Malformed) {
-        json["mend"] =
-            server.find("/router:") == std::string::npos
-                ? "start one with: axon-server, or name another with --server HOST:PORT (or AXON_SERVER)"
-                : "look whether the router and a server behind it run where --config (or AXON_CONFIG) says: "
-                  "axon-cluster status, or the logs of glacier2router and axon-server";
+        json["fix"] = server.find("/router:") == std::string::npos
+                          ? "start a server with axon-server, or give the address of another one with "
+                            "--server HOST:PORT (or AXON_SERVER)"
+                          : "check that the router and a server behind it are running at the address in "
+                            "--config (or AXON_CONFIG): "
+                            "axon-cluster status, or the logs of glacier2router and axon-server";
     }
     return json;
 }
 
 int exitOf(const Refusal& refusal) {
-    switch (refusal.code) {
-        case RefusalCode::Ok:
-            return kDone;
-        case RefusalCode::NotConnected:
-            return kNoServer;
-        case RefusalCode::TimedOut:
-        case RefusalCode::OutcomeUnknown:
-            return kNotConfirmed;
-        case RefusalCode::Stopped:
-        case RefusalCode::Cancelled:
-        case RefusalCode::ClientLost:
-            return kStopped;
-        default:
-            return kRefused;
-    }
+    return refusalEntry(refusal.code).exit;
 }
 
 int exitOf(TaskState state, const Refusal& reason) {

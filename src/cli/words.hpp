@@ -13,7 +13,7 @@ Json toJson(const Value& value);
 Json toJson(const Entity& entity, bool yours);
 Json toJson(const Service& service);
 Json toJson(const TaskReport& report);
-/// A "task" event, complete but for "units": the entity by the name it is called, "elapsed_s", and the mend.
+/// A "task" event, complete but for "units": the entity by the name it is called, "elapsed_s", and the fix.
 Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elapsed);
 /// {parameter: its unit}, of those that have one.
 Json unitsOf(const Service& service);
@@ -32,10 +32,10 @@ Json reasonOf(const Refusal& refusal);
 /// A "hand_over" event. `answer`: the command that answers it, up to the entity; empty = nobody can.
 Json toJson(const HandOverRequest& request, const std::string& entity, const std::string& answer);
 
-/// {"event": "error", "code", "message", "holder"?, "mend"?}. `entity` is how the user would name it again.
+/// {"event": "error", "code", "message", "holder"?, "fix"?}. `entity` is how the user would name it again.
 Json errorEvent(const Refusal& refusal, const std::string& entity = {});
 /// A command line that makes no sense; exits with kUsage.
-Json usageEvent(const std::string& message, const std::string& mend = {});
+Json usageEvent(const std::string& message, const std::string& fix = {});
 /// For refusals of connecting itself.
 Json noServerEvent(const Refusal& refusal, const std::string& server);
 

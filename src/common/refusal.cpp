@@ -1,102 +1,48 @@
 // SPDX-License-Identifier: MIT
 #include "common/refusal.hpp"
 
+#include <algorithm>
+#include <array>
+
 namespace axon {
+namespace {
+
+constexpr std::array kRefusals{
+#define AXON_REFUSAL(enumerator, name, number, exit, decided_by, meaning, remedy) \
+    RefusalEntry{RefusalCode::enumerator, #name, exit, decided_by, meaning, remedy},
+#include "common/axon/refusals.def"
+#undef AXON_REFUSAL
+};
+static_assert(std::is_sorted(kRefusals.begin(), kRefusals.end(),
+                             [](const RefusalEntry& a, const RefusalEntry& b) { return a.code < b.code; }));
+
+}  // namespace
+
+std::span<const RefusalEntry> refusals() {
+    return kRefusals;
+}
+
+const RefusalEntry& refusalEntry(RefusalCode code) {
+    const auto found = std::find_if(kRefusals.begin(), kRefusals.end(),
+                                    [code](const RefusalEntry& entry) { return entry.code == code; });
+    if (found == kRefusals.end()) return refusalEntry(RefusalCode::Internal);
+    return *found;
+}
 
 std::string_view refusalName(RefusalCode code) {
-    switch (code) {
-        case RefusalCode::Ok:
-            return "OK";
-        case RefusalCode::NotHolder:
-            return "NOT_HOLDER";
-        case RefusalCode::AlreadyHeld:
-            return "ALREADY_HELD";
-        case RefusalCode::OlderLease:
-            return "OLDER_LEASE";
-        case RefusalCode::RevokedLease:
-            return "REVOKED_LEASE";
-        case RefusalCode::WrongEpoch:
-            return "WRONG_EPOCH";
-        case RefusalCode::Expired:
-            return "EXPIRED";
-        case RefusalCode::OldGeneration:
-            return "OLD_GENERATION";
-        case RefusalCode::Latched:
-            return "LATCHED";
-        case RefusalCode::Reserved:
-            return "RESERVED";
-        case RefusalCode::HandOverRefused:
-            return "HAND_OVER_REFUSED";
-        case RefusalCode::UnknownEntity:
-            return "UNKNOWN_ENTITY";
-        case RefusalCode::AmbiguousEntity:
-            return "AMBIGUOUS_ENTITY";
-        case RefusalCode::UnknownService:
-            return "UNKNOWN_SERVICE";
-        case RefusalCode::UnknownParameter:
-            return "UNKNOWN_PARAMETER";
-        case RefusalCode::UnknownResource:
-            return "UNKNOWN_RESOURCE";
-        case RefusalCode::UnknownTask:
-            return "UNKNOWN_TASK";
-        case RefusalCode::WrongType:
-            return "WRONG_TYPE";
-        case RefusalCode::WrongUnits:
-            return "WRONG_UNITS";
-        case RefusalCode::OutOfRange:
-            return "OUT_OF_RANGE";
-        case RefusalCode::MissingDependency:
-            return "MISSING_DEPENDENCY";
-        case RefusalCode::InactiveService:
-            return "INACTIVE_SERVICE";
-        case RefusalCode::Blocked:
-            return "BLOCKED";
-        case RefusalCode::QueueFull:
-            return "QUEUE_FULL";
-        case RefusalCode::NotPausable:
-            return "NOT_PAUSABLE";
-        case RefusalCode::Denied:
-            return "DENIED";
-        case RefusalCode::Duplicate:
-            return "DUPLICATE";
-        case RefusalCode::BadName:
-            return "BAD_NAME";
-        case RefusalCode::HashMismatch:
-            return "HASH_MISMATCH";
-        case RefusalCode::TooLarge:
-            return "TOO_LARGE";
-        case RefusalCode::Malformed:
-            return "MALFORMED";
-        case RefusalCode::NotSupported:
-            return "NOT_SUPPORTED";
-        case RefusalCode::WrongState:
-            return "WRONG_STATE";
-        case RefusalCode::Unavailable:
-            return "UNAVAILABLE";
-        case RefusalCode::RobotLost:
-            return "ROBOT_LOST";
-        case RefusalCode::NotConnected:
-            return "NOT_CONNECTED";
-        case RefusalCode::TimedOut:
-            return "TIMED_OUT";
-        case RefusalCode::PermissionDenied:
-            return "PERMISSION_DENIED";
-        case RefusalCode::Overloaded:
-            return "OVERLOADED";
-        case RefusalCode::Failed:
-            return "FAILED";
-        case RefusalCode::Stopped:
-            return "STOPPED";
-        case RefusalCode::Cancelled:
-            return "CANCELLED";
-        case RefusalCode::ClientLost:
-            return "CLIENT_LOST";
-        case RefusalCode::OutcomeUnknown:
-            return "OUTCOME_UNKNOWN";
-        case RefusalCode::Internal:
-            return "INTERNAL";
+    return refusalEntry(code).name;
+}
+
+std::string remedyFor(RefusalCode code, std::string_view entity, std::string_view holder) {
+    std::string text;
+    auto rest = refusalEntry(code).remedy;
+    for (auto brace = rest.find('{'); brace != std::string_view::npos; brace = rest.find('{')) {
+        text += rest.substr(0, brace);
+        const auto end = rest.find('}', brace) + 1;
+        text += rest.substr(brace, end - brace) == "{holder}" ? holder : entity;
+        rest.remove_prefix(end);
     }
-    return "INTERNAL";
+    return text += rest;
 }
 
 }  // namespace axon

@@ -223,7 +223,7 @@ class CommandTest(unittest.TestCase):
         code, lines, _ = self.lab.axon("ls", env=wrong)
         self.assertEqual((code, lines[-1]["code"]), (3, "MALFORMED"), lines)
         self.assertIn("Is it the port of the Entity Managers", lines[-1]["message"])
-        self.assertNotIn("start one with", lines[-1].get("mend", ""))
+        self.assertNotIn("start a server", lines[-1].get("fix", ""))
 
 
 if __name__ == "__main__":

@@ -43,12 +43,13 @@ int bench(Session& session) {
 
 extern const Verb kBench{
     "bench",
-    "Measure Axon on this machine, beside others (axon-bench)",
-    "  axon bench                                     which experiments there are\n"
-    "  axon bench peers --entities 1,64               beside Mosquitto, NATS, CycloneDDS and a raw router\n"
-    "  axon bench chapter5 --table 5.2 --seconds 10   beside what the thesis printed\n"
-    "  axon bench peers --help                        the options of one\n"
-    "Everything after bench is axon-bench's. It starts servers of its own and touches no others.\n",
+    "Measure Axon on this machine, and compare it with others (axon-bench)",
+    "  axon bench                                     list the experiments\n"
+    "  axon bench peers --entities 1,64               compare with Mosquitto, NATS, CycloneDDS and a raw "
+    "router\n"
+    "  axon bench chapter5 --table 5.2 --seconds 10   compare with what the thesis printed\n"
+    "  axon bench peers --help                        show the options of one\n"
+    "Everything after bench goes to axon-bench, which starts its own servers and touches no others.\n",
     Runs::Local,
     {{"words", Takes::Text, false, true, "An experiment, and its options"}},
     {},

@@ -56,7 +56,7 @@ int info(Session& session) {
     auto findings = Json::array();
     if (details) {
         for (const auto& finding : details->findings)
-            findings.push_back({{"message", finding.message}, {"mend", finding.fix}});
+            findings.push_back({{"message", finding.message}, {"fix", finding.fix}});
         for (const auto& margin : details->watchdogs) {
             margins.push_back({{"hop", margin.hop},
                                {"timeout_ms", margin.timeout.count() * 1000},
@@ -83,12 +83,12 @@ extern const Verb kLs{
     "ls",
     "List the entities: state, holder, latch",
     "  axon ls\n"
-    "  axon ls --all                    also those whose application or profiles are missing, and why\n"
+    "  axon ls --all                    also those without application or valid profiles, and why\n"
     "  axon ls --json | jq -r '.entities[] | select(.holder == \"\") | .name'\n",
     Runs::Anywhere,
     {},
-    {{"all", Takes::Nothing, "Also entities that are not ready: without application or valid profiles"},
-     {"uuid", Takes::Nothing, "Show the UUIDs too: they tell entities of one name apart"}},
+    {{"all", Takes::Nothing, "Also list entities that are not ready: without application or valid profiles"},
+     {"uuid", Takes::Nothing, "Show the UUIDs, which tell entities of the same name apart"}},
     ls};
 
 extern const Verb kInfo{"info",

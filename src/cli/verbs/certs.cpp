@@ -61,9 +61,9 @@ void tellWritten(Session& session, const Written& written, const std::string& ne
 int init(Session& session, const Folder& folder) {
     if (!namesOf(session).empty()) return misused(session, "axon certs init takes no name");
     const auto written = folder.init(now(), session.args.value("force", false));
-    tellWritten(
-        session, written,
-        "keep a copy of ca.key.pem where nobody else reads it; axon certs issue --server HOST ADDRESS");
+    tellWritten(session, written,
+                "keep a copy of ca.key.pem where nobody else can read it, then run axon certs issue --server "
+                "HOST ADDRESS");
     return kDone;
 }
 
@@ -83,10 +83,10 @@ int issue(Session& session, const Folder& folder) {
     return kDone;
 }
 
-std::string mendOf(const Certificate& certificate) {
-    if (certificate.authority) return "axon certs init --force, then issue all certificates anew";
+std::string fixOf(const Certificate& certificate) {
+    if (certificate.authority) return "axon certs init --force, then issue all certificates again";
     return "axon certs issue --" + certificate.unit + " " + shellWord(certificate.name) +
-           (certificate.names.size() > 1 ? " …" : "") + " --force, and restart what uses it";
+           (certificate.names.size() > 1 ? " …" : "") + " --force, then restart the program that uses it";
 }
 
 /// What expires is said on the way, and expired is a failure: scripts ask for it.
@@ -118,7 +118,7 @@ int show(Session& session, const fs::path& its_folder) {
              {"level", soon ? "warn" : "bad"},
              {"name", certificate.name},
              {"message", file.filename().string() + " " + when},
-             {"mend", state == Validity::NotYetValid ? "set this machine's clock" : mendOf(certificate)}});
+             {"fix", state == Validity::NotYetValid ? "set the clock of this machine" : fixOf(certificate)}});
     }
     return exit;
 }
@@ -144,24 +144,23 @@ extern const Verb kCerts{
     "certs",
     "Make and show the certificates of the laboratory",
     "  axon certs init                                       the laboratory's own CA, once\n"
-    "  axon certs issue --server lab.example 192.168.0.5     names and addresses it is called by\n"
+    "  axon certs issue --server lab.example 192.168.0.5     its names and addresses\n"
     "  axon certs issue --router lab.example 192.168.0.5\n"
     "  axon certs issue --entity PeopleBot                   the name in its basic profile\n"
     "  axon certs issue --client client1                     the name in users.cfg\n"
-    "  axon certs show                                       what there is, and what expires\n"
+    "  axon certs show                                       list them, and when they expire\n"
     "docs/reference/tls.md says how they are used.\n",
     Runs::Local,
     {{"action", Takes::Choice, true, false, "init, issue or show", {"init", "issue", "show"}},
      {"name", Takes::File, false, true,
-      "Of issue: the name, and further names and addresses of a server. Of "
-      "show: files"}},
-    {{"folder", Takes::File, "Where the CA is (~/.config/axon/certs)"},
+      "issue: the name, and the other names and addresses of a server; show: files"}},
+    {{"folder", Takes::File, "Folder of the CA (default ~/.config/axon/certs)"},
      {"server", Takes::Nothing, "For axon-server"},
      {"router", Takes::Nothing, "For glacier2router"},
      {"entity", Takes::Nothing, "For the Entity Manager of the entity of this name"},
      {"client", Takes::Nothing, "For the user of this name"},
-     {"days", Takes::Count, "How long it is valid (365)"},
-     {"force", Takes::Nothing, "Replace what is there"}},
+     {"days", Takes::Count, "Days until it expires (default 365)"},
+     {"force", Takes::Nothing, "Replace existing files"}},
     certs};
 
 }  // namespace axon::cli

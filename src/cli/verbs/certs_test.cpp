@@ -58,8 +58,8 @@ TEST_F(Certs, ShowWarnsOfWhatExpiresWithin30Days) {
     ASSERT_EQ(axon({"issue", "--client", "client1", "--days", "29"}), kDone);
     EXPECT_EQ(axon({"show"}), kDone);
     EXPECT_EQ(seen.last("finding")->at("level"), "warn");
-    EXPECT_EQ(seen.last("finding")->at("mend"),
-              "axon certs issue --client client1 --force, and restart what uses it");
+    EXPECT_EQ(seen.last("finding")->at("fix"),
+              "axon certs issue --client client1 --force, then restart the program that uses it");
     std::ostringstream out;
     std::ostringstream err;
     PersonView(out, err, {}, ManualClock()).emit(*seen.last("certificates"));
@@ -78,9 +78,9 @@ TEST_F(Certs, ShowFailsForWhatHasExpired) {
     EXPECT_EQ(seen.last("certificates")->at("certificates").size(), 1U);
 }
 
-TEST_F(Certs, SaysWhatIsWrongAndHowToMendIt) {
+TEST_F(Certs, SaysWhatIsWrongAndHowToFixIt) {
     EXPECT_EQ(axon({"issue", "--client", "client1"}), kUsage);
-    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("axon certs init"));
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("axon certs init"));
     ASSERT_EQ(axon({"init"}), kDone);
     EXPECT_EQ(axon({"init"}), kUsage);
     EXPECT_EQ(axon({"init", "lab"}), kUsage);

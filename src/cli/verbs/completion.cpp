@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "cli/arguments.hpp"
+#include "cli/common_options.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
 
@@ -139,13 +140,15 @@ class Completer {
             }
         }
         if (!option.empty()) {
-            if (option == "--file" || option == "--password-file") return {"__files__"};
             for (const auto& one : verb == nullptr ? std::vector<Option>{} : verb->options) {
                 if (option != std::string("--") + one.name) continue;
                 if (one.takes == Takes::File) return {"__files__"};
                 if (one.takes == Takes::Entity) return entities();
                 if (one.takes == Takes::Binding) return bindings(given, words.current);
                 return {one.choices.begin(), one.choices.end()};
+            }
+            for (const auto& one : commonOptions()) {
+                if (option == std::string("--") + one.name && one.takes == Takes::File) return {"__files__"};
             }
             return {};
         }
@@ -176,18 +179,22 @@ class Completer {
             if (word == std::string("--") + option.name)
                 return option.takes != Takes::Nothing && option.takes != Takes::MaybeDuration;
         }
-        for (const auto* common : {"--server", "--timeout", "--user", "--password-file", "--name"}) {
-            if (word == common) return true;
-        }
-        return false;
+        const auto& common = commonOptions();
+        return std::any_of(common.begin(), common.end(), [&word](const CommonOption& option) {
+            return word == std::string("--") + option.name && option.takes != Takes::Nothing;
+        });
     }
 
     static std::vector<std::string> options(const Verb* verb) {
-        std::vector<std::string> names{"--help",          "--json",   "--name",    "--no-direct",
-                                       "--password-file", "--server", "--timeout", "--user"};
+        std::vector<std::string> names;
         if (verb != nullptr) {
-            for (const auto& option : verb->options)
-                names.insert(names.begin(), std::string("--") + option.name);
+            for (const auto& option : verb->options) names.push_back(std::string("--") + option.name);
+        }
+        names.emplace_back("--help");
+        for (const auto& option : commonOptions()) {
+            // A verb may have one of its own by that name: --server of certs.
+            const auto name = std::string("--") + option.name;
+            if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
         }
         return names;
     }
@@ -385,11 +392,12 @@ int completion(Session& session) {
 extern const Verb kCompletion{
     "completion",
     "Print the completion script of a shell",
-    "  source <(axon completion bash)                                    now\n"
-    "  axon completion bash > ~/.local/share/bash-completion/completions/axon   always\n"
+    "  source <(axon completion bash)                                    for this shell\n"
+    "  axon completion bash > ~/.local/share/bash-completion/completions/axon   for every new one\n"
     "  axon completion zsh > ~/.zfunc/_axon\n"
     "  axon completion fish > ~/.config/fish/completions/axon.fish\n"
-    "Completes verbs, options, entities, their services, parameters and values, global services and roles.\n",
+    "It completes verbs, options, entities, their services, parameters and values, global services and "
+    "roles.\n",
     Runs::Local,
     {{"shell", Takes::Choice, true, false, "bash, zsh or fish", {"bash", "zsh", "fish"}}},
     {},

@@ -20,6 +20,7 @@
 #include "cli/view.hpp"
 #include "cli/words.hpp"
 #include "common/rate_limit.hpp"
+#include "common/refusal.hpp"
 
 // axon doctor
 namespace axon::cli {
@@ -61,8 +62,8 @@ std::string switchedOff(const std::vector<Service>& services) {
 void checkEntities(Report& report, Station& station) {
     const auto all = station.entities(Listed::All);
     if (all.empty()) {
-        report.warn("entities", "none are there",
-                    "start a robot's application and its axon-entity-manager; its log says when it cannot "
+        report.warn("entities", "no entity is connected",
+                    "start a robot's application and its axon-entity-manager, whose log says if it cannot "
                     "reach the server");
     }
     for (const auto& entity : all) {
@@ -71,14 +72,15 @@ void checkEntities(Report& report, Station& station) {
         const auto because = entity.reason.empty() ? std::string() : ": " + entity.reason;
         switch (entity.state) {
             case EntityState::UNAV:
-                report.bad(name, state + because,
-                           "its Entity Manager runs without the robot's application: start that, with the "
-                           "same ports.cfg, or "
-                           "correct the Entity Manager's --application");
+                report.bad(
+                    name, state + because,
+                    "start the robot's application with the same ports.cfg, or correct --application of "
+                    "the Entity Manager");
                 continue;
             case EntityState::ERR:
-                report.bad(name, state + because,
-                           "mend the profiles (axon profile check FILE); they are read again by themselves");
+                report.bad(
+                    name, state + because,
+                    "correct the profiles (axon profile check FILE); they are read again automatically");
                 continue;
             case EntityState::INIT:
                 if (!entity.reason.empty()) {
@@ -88,7 +90,7 @@ void checkEntities(Report& report, Station& station) {
                 }
                 [[fallthrough]];
             case EntityState::ENVCONN:
-                report.warn(name, state + because, "it is starting: look again in a second");
+                report.warn(name, state + because, "it is starting: run axon doctor again in a second");
                 continue;
             default:
                 break;
@@ -97,13 +99,13 @@ void checkEntities(Report& report, Station& station) {
         const auto details = station.details(entity.id);
         const auto round_trip = secondsSince(start);
         if (!details) {
-            report.bad(name, state + ", and does not tell its services: " + details.refusal().message,
+            report.bad(name, state + "; it does not list its services: " + details.refusal().message,
                        "see the log of its axon-entity-manager");
             continue;
         }
         for (const auto& finding : details->findings) report.warn(name, finding.message, finding.fix);
         const auto& services = details->services;
-        auto message = fmt::format("{}, tells its {} service{} in {}", state, services.size(),
+        auto message = fmt::format("{}, lists its {} service{} in {}", state, services.size(),
                                    services.size() == 1 ? "" : "s", duration(round_trip));
         const auto off = switchedOff(services);
         if (!off.empty()) message += "; " + off;
@@ -111,13 +113,12 @@ void checkEntities(Report& report, Station& station) {
             std::any_of(services.begin(), services.end(), [](const Service& one) { return one.active; });
         if (!off.empty() && !any_on) {
             report.warn(name, message + (entity.latched ? "; stopped" : ""),
-                        "it takes no task before its application switches a service on again: see to the "
-                        "reason it gives, or to its log");
+                        "it takes no tasks until its application switches a service on again: see the reason "
+                        "that it gives, or its log");
         } else if (entity.latched) {
-            report.warn(name, message + "; stopped",
-                        "axon rearm " + shellWord(name) + ", when it is safe to move again");
+            report.warn(name, message + "; stopped", remedyFor(RefusalCode::Latched, shellWord(name), {}));
         } else if (round_trip > 0.1) {
-            report.warn(name, message + ": slow", "see what loads the machine or the network");
+            report.warn(name, message + ": slow", "find out what loads the machine or the network");
         } else {
             report.ok(name, message);
         }
@@ -153,11 +154,11 @@ void checkSignalLane(Report& report, Station& station) {
             continue;
         }
         const auto slowest = measured.quantile(1).value_or(0);
-        const auto message =
-            fmt::format("a stop is at {} and back in {}, {} at most (a drill of {})", name,
-                        duration(measured.quantile(0.5).value_or(0) / 1000), duration(slowest / 1000), tries);
+        const auto message = fmt::format("a stop takes {} to {} and back, at most {} (drills: {})",
+                                         duration(measured.quantile(0.5).value_or(0) / 1000), name,
+                                         duration(slowest / 1000), tries);
         if (slowest > kSlow_ms) {
-            report.warn("signal lane", message, "see what loads the machine or the network");
+            report.warn("signal lane", message, "find out what loads the machine or the network");
         } else {
             report.ok("signal lane", message);
         }
@@ -169,7 +170,7 @@ void checkServer(Report& report, Session& session) {
     const auto station = session.connect(session.settings);
     if (!station) {
         const auto event = noServerEvent(station.refusal(), session.settings.server);
-        report.bad("server", event.value("message", ""), event.value("mend", ""));
+        report.bad("server", event.value("message", ""), event.value("fix", ""));
         return;
     }
     report.ok("server", "session at " + station.value()->server() + " as " + station.value()->self().name +
@@ -196,8 +197,8 @@ void checkAgent(Report& report, const Settings& settings) {
         report.ok("agent",
                   "none is running (axon checkout starts one); " + directory.string() + " is private");
     } else if ((found.st_mode & 0777U) != 0600U || found.st_uid != ::getuid()) {
-        report.bad("agent", "others may use " + place->socket.string(),
-                   "axon agent stop, and see who changed its mode");
+        report.bad("agent", "other users can use " + place->socket.string(),
+                   "end it with axon agent stop, and find out who changed the mode");
     } else if (const auto link = AgentLink::open(place->socket); !link) {
         report.ok("agent", "none is running; " + place->socket.string() + " is left over and does no harm");
     } else {
@@ -213,12 +214,12 @@ void checkRealTime(Report& report) {
         refused = ::pthread_setschedparam(::pthread_self(), SCHED_RR, &param);
     }).join();
     if (refused == 0) {
-        report.ok("real time", "the signal lane may have a real-time priority");
+        report.ok("real time", "the signal lane can run with real-time priority");
         return;
     }
-    report.warn(
-        "real time", "not permitted (ulimit -r is 0): stops share the processor with everything else",
-        "put '@axon - rtprio 20' into /etc/security/limits.d/axon.conf, join the group axon, log in again");
+    report.warn("real time", "not permitted (ulimit -r is 0): stops share the processor with everything else",
+                "put '@axon - rtprio 20' into /etc/security/limits.d/axon.conf, join the group axon, and log "
+                "in again");
 }
 
 void checkPorts(Report& report) {
@@ -241,7 +242,7 @@ void checkPorts(Report& report) {
     if (first_free == 0) {
         report.bad("ports",
                    fmt::format("none of {} to {} is free for robot applications", kFirstPort, kLastPort),
-                   "ss -ltn shows who has them; give another range in ports.cfg");
+                   "see with ss -ltn which programs use them, or set another range in ports.cfg");
     } else {
         report.ok("ports", fmt::format("{} of {} ports for robot applications are free, the first is {}",
                                        all - taken, all, first_free));
@@ -267,15 +268,16 @@ int doctor(Session& session) {
 
 extern const Verb kDoctor{
     "doctor",
-    "Find out what is wrong with the set-up",
+    "Check the set-up, and say what is wrong with it",
     "  axon doctor\n"
     "  axon doctor --server lab.example.org:10410\n"
     "  axon doctor --security\n"
-    "Each line is fine (✓), worth a look (!) or wrong (✗); exit status 1 when one is wrong.\n",
+    "Each line is fine (✓), a warning (!) or an error (✗). The exit status is 1 if there is an error.\n",
     Runs::Local,
     {},
     {{"security", Takes::Nothing,
-      "Who could be let in who should not be, and what others on the way or on this machine could read"}},
+      "Check instead who can log in without permission, and what others can read on the network or on this "
+      "machine"}},
     doctor};
 
 }  // namespace axon::cli

@@ -12,20 +12,19 @@ class Report {
   public:
     explicit Report(Events& events) : events_(events) {}
     void ok(const std::string& name, const std::string& message) { say("ok", name, message, {}); }
-    void warn(const std::string& name, const std::string& message, const std::string& mend) {
-        say("warn", name, message, mend);
+    void warn(const std::string& name, const std::string& message, const std::string& fix) {
+        say("warn", name, message, fix);
     }
-    void bad(const std::string& name, const std::string& message, const std::string& mend) {
-        say("bad", name, message, mend);
+    void bad(const std::string& name, const std::string& message, const std::string& fix) {
+        say("bad", name, message, fix);
         any_bad_ = true;
     }
     bool anyBad() const { return any_bad_; }
 
   private:
-    void say(const char* level, const std::string& name, const std::string& message,
-             const std::string& mend) {
+    void say(const char* level, const std::string& name, const std::string& message, const std::string& fix) {
         Json check{{"event", "finding"}, {"level", level}, {"name", name}, {"message", message}};
-        if (!mend.empty()) check["mend"] = mend;
+        if (!fix.empty()) check["fix"] = fix;
         events_.emit(check);
     }
     Events& events_;

@@ -36,10 +36,10 @@ void add(std::map<std::string, Drilled>& all, const std::vector<DrillReport>& re
 int drill(Session& session) {
     const auto names = session.args.value("entity", std::vector<std::string>{});
     if (names.empty() != session.args.value("all", false)) {
-        return misused(
-            session,
-            names.empty() ? "expected which entities to drill" : "expected names or --all, found both",
-            "axon drill PeopleBot, or axon drill --all");
+        return misused(session,
+                       names.empty() ? "expected entities or --all, found neither"
+                                     : "expected entities or --all, found both",
+                       "axon drill PeopleBot, or axon drill --all");
     }
     for (const auto& name : names) {
         if (const auto found = session.station->find(name); !found)
@@ -86,7 +86,7 @@ int drill(Session& session) {
         arrived = arrived && one.manager.never() == 0 && one.callback.never() == 0;
     }
     if (!refused.ok()) return refuse(session, refused);  // after what there was until then
-    if (all.empty()) session.events.emit({{"event", "notice"}, {"message", "there is nothing to drill"}});
+    if (all.empty()) session.events.emit({{"event", "notice"}, {"message", "there is no entity to drill"}});
     if (interrupted) return kInterrupted;
     return arrived ? kDone : kNotConfirmed;
 }
@@ -99,15 +99,15 @@ extern const Verb kDrill{
     "  axon drill PeopleBot\n"
     "  axon drill --all --count 1000 --every 0.05\n"
     "  axon drill PeopleBot --json | jq 'select(.event == \"drill\") | .callback.p99_ms'\n"
-    "Each try travels as a stop does, to the robot application's side and back, where it is acknowledged\n"
-    "without calling the application: nothing latches and no task ends. What has not come back within a\n"
-    "second never arrived, and counts as infinitely late. A percentile is shown where there are enough\n"
-    "tries to have one. Exit status 4 when one never arrived.\n",
+    "Each try travels like a stop to the process of the robot application and back. The application itself\n"
+    "is not called: nothing latches and no task ends. A try that does not come back within a second counts\n"
+    "as never arrived, and as infinitely late. A percentile is shown if there are enough tries for it.\n"
+    "The exit status is 4 if a try never arrived.\n",
     Runs::Anywhere,
-    {{"entity", Takes::Entity, false, true, "What to drill; whoever holds it"}},
-    {{"all", Takes::Nothing, "Everything there is"},
-     {"count", Takes::Count, "How many tries (20)"},
-     {"every", Takes::Duration, "One try each so many seconds (0.1)"}},
+    {{"entity", Takes::Entity, false, true, "Entities to drill, whoever holds them"}},
+    {{"all", Takes::Nothing, "All entities"},
+     {"count", Takes::Count, "Number of tries (default 20)"},
+     {"every", Takes::Duration, "Time from one try to the next (default 0.1)"}},
     drill};
 
 }  // namespace axon::cli

@@ -59,7 +59,7 @@ std::string prepareUpload(Json& args) {
     if (!std::filesystem::is_regular_file(status)) {
         return "expected a file to upload, found " +
                std::string(std::filesystem::is_directory(status) ? "a directory"
-                           : std::filesystem::exists(status)     ? "something that is no file"
+                           : std::filesystem::exists(status)     ? "something that is not a file"
                            : status.type() == std::filesystem::file_type::not_found ? "none"
                                                                                     : error.message()) +
                " at " + inQuotes(file.string(), 200);
@@ -118,7 +118,8 @@ int upload(Session& session) {
             give_up.request_stop();
             session.events.emit(
                 {{"event", "notice"},
-                 {"message", "interrupted; the same axon upload goes on where this one ended"}});
+                 {"message",
+                  "interrupted; run the same axon upload again to continue where this one ended"}});
             return kInterrupted;
         }
         if (event->at("event") != "end") {
@@ -139,7 +140,7 @@ int upload(Session& session) {
 /// Reads what is to be sent here: the agent has another standard input and another working directory.
 std::string prepareSend(Json& args) {
     const bool file = args.contains("file");
-    if (file == args.contains("text")) return "expected a TEXT or --file FILE, and not both";
+    if (file == args.contains("text")) return "expected either TEXT or --file FILE";
     std::string content;
     if (!file) {
         content = args.at("text").get<std::string>();
@@ -204,45 +205,44 @@ int send(Session& session) {
 
 }  // namespace
 
-extern const Verb kSet{
-    "set",
-    "Set parameters of a service, before running it",
-    "  axon set PeopleBot Driving 'Range Threshold=500'\n"
-    "  axon set PeopleBot Driving range_threshold=500mm\n"
-    "The robot grants or denies each. Values that are not savable are cleared after each task.\n",
-    Runs::Holder,
-    {{"entity", Takes::Entity, true, false, "Which entity"},
-     {"service", Takes::Service, true, false, "Name or global id of the service"},
-     {"parameters", Takes::KeyValue, true, true, "PARAMETER=VALUE"}},
-    {},
-    set};
+extern const Verb kSet{"set",
+                       "Set parameters of a service, before running it",
+                       "  axon set PeopleBot Driving 'Range Threshold=500'\n"
+                       "  axon set PeopleBot Driving range_threshold=500mm\n"
+                       "The robot application grants or denies each value. Values that are not savable are "
+                       "cleared after each task.\n",
+                       Runs::Holder,
+                       {{"entity", Takes::Entity, true, false, "The entity"},
+                        {"service", Takes::Service, true, false, "Name or global id of the service"},
+                        {"parameters", Takes::KeyValue, true, true, "PARAMETER=VALUE"}},
+                       {},
+                       set};
 
 extern const Verb kUpload{"upload",
                           "Upload a file as a resource of a service",
                           "  axon upload PeopleBot Navigation Map lab.map\n"
-                          "An upload that was broken off goes on where it ended.\n",
+                          "An interrupted upload continues where it ended.\n",
                           Runs::Holder,
-                          {{"entity", Takes::Entity, true, false, "Which entity"},
+                          {{"entity", Takes::Entity, true, false, "The entity"},
                            {"service", Takes::Service, true, false, "Name or global id of the service"},
                            {"resource", Takes::Resource, true, false, "Name of the resource"},
-                           {"file", Takes::File, true, false, "The file"}},
+                           {"file", Takes::File, true, false, "File to upload"}},
                           {},
                           upload,
                           prepareUpload};
 
-extern const Verb kSend{
-    "send",
-    "Send a text or bytes to the robot's application",
-    "  axon send PeopleBot 'hello there'\n"
-    "  axon send PeopleBot --raw --file frame.bin\n"
-    "  date | axon send PeopleBot --file - --for 2     and show what comes back within 2 s\n",
-    Runs::Holder,
-    {{"entity", Takes::Entity, true, false, "Which entity"},
-     {"text", Takes::Text, false, false, "What to send"}},
-    {{"file", Takes::File, "Send what is in the file; - is the standard input"},
-     {"raw", Takes::Nothing, "As raw data instead of text"},
-     {"for", Takes::Duration, "Then show what the robot says for so many seconds"}},
-    send,
-    prepareSend};
+extern const Verb kSend{"send",
+                        "Send a text or bytes to the robot's application",
+                        "  axon send PeopleBot 'hello there'\n"
+                        "  axon send PeopleBot --raw --file frame.bin\n"
+                        "  date | axon send PeopleBot --file - --for 2     then show the answers for 2 s\n",
+                        Runs::Holder,
+                        {{"entity", Takes::Entity, true, false, "The entity"},
+                         {"text", Takes::Text, false, false, "Text to send"}},
+                        {{"file", Takes::File, "Send the content of this file; - is the standard input"},
+                         {"raw", Takes::Nothing, "Send raw data instead of text"},
+                         {"for", Takes::Duration, "Then show for this long what the robot sends"}},
+                        send,
+                        prepareSend};
 
 }  // namespace axon::cli

@@ -21,7 +21,7 @@ Result<GlobalService> findGlobal(Session& session, const std::string& name) {
     for (const auto& file : offered->files) {
         if (file.bad) bad += (bad.empty() ? "" : ", ") + file.name;
     }
-    if (!bad.empty()) refusal.message += ". What is in " + bad + " is not offered: there are errors in it";
+    if (!bad.empty()) refusal.message += ". The services in " + bad + " are not offered, because of errors";
     return refusal;
 }
 
@@ -29,15 +29,15 @@ int refuseGlobal(Session& session, const Refusal& refusal) {
     auto event = errorEvent(refusal);
     switch (refusal.code) {
         case RefusalCode::UnknownService:
-            event["mend"] =
-                "axon global ls shows the services and what is wrong with their files; axon global "
-                "info SERVICE who could do what";
+            event["fix"] =
+                "axon global ls shows the services and the errors in their files; axon global info SERVICE "
+                "shows which robots can play its roles";
             break;
         case RefusalCode::UnknownTask:
-            event["mend"] = "axon global history shows the runs";
+            event["fix"] = "axon global history shows the runs";
             break;
         case RefusalCode::NotSupported:
-            event["mend"] = "the server, or a robot's Entity Manager, is older than this command: update it";
+            event["fix"] = "the server, or a robot's Entity Manager, is older than this command: update it";
             break;
         default:
             break;
@@ -113,17 +113,16 @@ Result<RunReport> findRun(Session& session, const std::string& word) {
     if (open.empty()) {
         return Refusal{
             RefusalCode::UnknownTask,
-            !over.empty() ? over.back().service + " has ended already: " + client::toString(over.back().state)
-            : session.kept ? "no such run was begun here"
-                           : "no run was begun here: only a run under axon checkout can be reached "
+            !over.empty() ? over.back().service + " has already ended: " + client::toString(over.back().state)
+            : session.kept ? "no such run was started here"
+                           : "no run was started here: only a run under axon checkout can be reached "
                              "from another command",
             {}};
     }
     std::string list;
     for (const auto& run : open) list += "\n  " + run.id + "  " + run.service;
-    return Refusal{RefusalCode::UnknownTask,
-                   "several runs may be meant; name one by the beginning of its id:" + list,
-                   {}};
+    return Refusal{
+        RefusalCode::UnknownTask, "several runs match; name one by the beginning of its id:" + list, {}};
 }
 
 int control(Session& session, TaskAction action, const char* verb) {
@@ -214,7 +213,7 @@ int stop(Session& session) {
     if (!meant.empty()) return exit;
     session.events.emit(
         {{"event", "notice"},
-         {"message", std::string(word.empty() ? "no robot works now" : "no such run is going on") +
+         {"message", std::string(word.empty() ? "no robot is working now" : "no such run is in progress") +
                          "; nothing was stopped. axon stop --all stops everything"}});
     return kNotConfirmed;
 }
@@ -245,19 +244,19 @@ int history(Session& session) {
     return refuseGlobal(session,
                         {RefusalCode::UnknownTask,
                          found.empty() ? "no run that is remembered has an id that begins with " + word
-                                       : "several runs may be meant; write more of the id:" + list,
+                                       : "several runs match; write more of the id:" + list,
                          {}});
 }
 
 std::vector<Operand> runOperand() {
     return {{"run", Takes::GlobalService, false, false,
-             "Its service, or the beginning of its id; none = the only one"}};
+             "Its service, or the beginning of its id; without one, the only run"}};
 }
 
 }  // namespace
 
 extern const Verb kGlobalLs{"global ls",
-                            "List the global services of the server, and what is wrong with their files",
+                            "List the global services of the server, and the errors in their files",
                             "  axon global ls\n"
                             "  axon global ls --json | jq -r '.files[].findings[]'\n"
                             "The server reads the files of its folder again when they change.\n",
@@ -268,10 +267,10 @@ extern const Verb kGlobalLs{"global ls",
 
 extern const Verb kGlobalInfo{
     "global info",
-    "Show the steps of a global service, and who could play its roles",
+    "Show the steps of a global service, and which robots can play its roles",
     "  axon global info 'Fetch ball'\n"
-    "Every entity that is there is asked for its services. For who cannot play it says what is in the way,\n"
-    "and names each service that nobody offers.\n",
+    "Asks every entity for its services. Says why a robot cannot play a role, and which services no entity\n"
+    "offers.\n",
     Runs::Anywhere,
     {{"name", Takes::GlobalService, true, false, "Name of the global service"}},
     {},
@@ -279,44 +278,44 @@ extern const Verb kGlobalInfo{
 
 extern const Verb kGlobalStop{
     "global stop",
-    "Stop at once every robot that takes part in a run",
-    "  axon global stop                everybody who takes part in a run now, or may: all that are COLLAB,\n"
-    "                                  SLAVE or BUSY, since who carries out a step is BUSY\n"
-    "  axon global stop 'Fetch ball'   who takes part in it, whoever began it\n"
-    "  axon global stop 3f2a           in the run whose id begins so\n"
-    "By name the masters are asked who takes part, after what is known here has been stopped; one that works "
-    "and\n"
-    "does not answer is stopped too. A stop as of axon stop: receipts, exit status 0 only when all are "
-    "confirmed, no task until axon rearm.\n"
-    "axon global cancel ends a run without a latch.\n",
+    "Immediately stop every robot that takes part in a run",
+    "  axon global stop                every robot that takes part in a run now or may: all that are "
+    "COLLAB,\n"
+    "                                  SLAVE or BUSY, since a robot that carries out a step is BUSY\n"
+    "  axon global stop 'Fetch ball'   every robot that takes part in it, whoever started it\n"
+    "  axon global stop 3f2a           every robot of the run whose id begins with 3f2a\n"
+    "With a name, the robots that are known here are stopped first. Then the masters are asked who takes\n"
+    "part; a master that is working and does not answer is stopped too. As with axon stop, receipts are\n"
+    "printed, the exit status is 0 only if all are confirmed, and the robots refuse tasks until axon rearm.\n"
+    "axon global cancel ends a run without latching the robots.\n",
     Runs::Anywhere,
     {{"run", Takes::GlobalService, false, false,
-      "The service, or the beginning of the run's id; none = all that work"}},
-    {{"deadline", Takes::Duration, "How long to wait for the receipts (1; 5 for the standstill)"},
-     {"no-wait", Takes::Nothing, "Do not wait until robots that were moving stand still"}},
+      "The service, or the beginning of the run's id; without one, all robots that are working"}},
+    {{"deadline", Takes::Duration, "How long to wait for the receipts (default 1; 5 for the standstill)"},
+     {"no-wait", Takes::Nothing, "Do not wait for the standstill of robots that were moving"}},
     stop};
 
 extern const Verb kGlobalPause{"global pause",
-                               "Pause a run; every step that runs must be pausable",
+                               "Pause a run; every running step must be pausable",
                                "  axon global pause\n"
                                "  axon global pause 'Fetch ball'\n"
-                               "Reaches the runs that were begun under axon checkout.\n",
+                               "It reaches only runs that were started under axon checkout.\n",
                                Runs::Anywhere,
                                runOperand(),
                                {},
                                pauseRun};
 extern const Verb kGlobalResume{"global resume",
-                                "Let a paused run go on; one that is held tries its failed steps again",
+                                "Continue a paused run; a run that is held tries its failed steps again",
                                 "  axon global resume\n"
-                                "Reaches the runs that were begun under axon checkout.\n",
+                                "It reaches only runs that were started under axon checkout.\n",
                                 Runs::Anywhere,
                                 runOperand(),
                                 {},
                                 resumeRun};
 extern const Verb kGlobalCancel{"global cancel",
-                                "End a run without a latch",
+                                "Cancel a run, without latching the robots",
                                 "  axon global cancel\n"
-                                "Reaches the runs that were begun under axon checkout.\n",
+                                "It reaches only runs that were started under axon checkout.\n",
                                 Runs::Anywhere,
                                 runOperand(),
                                 {},
@@ -328,10 +327,10 @@ extern const Verb kGlobalHistory{
     "  axon global history\n"
     "  axon global history 3f2a     one run with its steps, parameters, results and times\n"
     "  axon global history --json | jq '.runs[] | select(.state != \"SUCCEEDED\")'\n"
-    "Each robot keeps the last runs of which it was the master.\n",
+    "Each robot keeps the last runs whose master it was.\n",
     Runs::Anywhere,
     {{"run", Takes::Run, false, false, "Beginning of a run's id: shows its steps"}},
-    {{"most", Takes::Count, "So many of each robot (all that it keeps)"}},
+    {{"most", Takes::Count, "At most this many of each robot (default: all that it keeps)"}},
     history};
 
 }  // namespace axon::cli

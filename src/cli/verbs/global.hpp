@@ -10,7 +10,7 @@ namespace axon::cli {
 /// The service that a person means by `name`; UNKNOWN_SERVICE names near ones, and files that offer nothing.
 Result<GlobalService> findGlobal(Session& session, const std::string& name);
 
-/// Emits the refusal with the mend of `axon global`.
+/// Emits the refusal with the fix of `axon global`.
 int refuseGlobal(Session& session, const Refusal& refusal);
 
 /// "roles" of "global_service" and "binding" events.

@@ -7,6 +7,7 @@
 #include "cli/holding.hpp"
 #include "cli/verbs/global.hpp"
 #include "cli/words.hpp"
+#include "common/refusal.hpp"
 
 // axon global run, axon global check
 namespace axon::cli {
@@ -75,11 +76,11 @@ class Cast {
                         [&](const auto& outlook) { return chosen.count(outlook.role) != 0; });
         if (!proposal->complete() && !all_named) {
             auto event = errorEvent(proposal->why);
-            event["mend"] =
-                "axon global info " + shellWord(service.name) + " shows who could play what" +
+            event["fix"] =
+                "axon global info " + shellWord(service.name) + " shows which robots can play its roles" +
                 (proposal->why.code == RefusalCode::AlreadyHeld ? "; --wait waits for what others hold" : "");
             if (const auto stopped = stoppedOnes(proposal.value()); !stopped.empty())
-                event["mend"] = "axon rearm" + stopped + ", when it is safe to move again";
+                event["fix"] = remedyFor(RefusalCode::Latched, stopped.substr(1), {});
             session_.events.emit(event);
             return exitOf(proposal->why);
         }
@@ -140,8 +141,8 @@ class Cast {
                     session_.events.emit(*event);
                 } else if (session_.mailbox->takeInterrupt()) {
                     session_.events.emit(
-                        {{"event", "notice"}, {"message", "given up; nothing was checked out"}});
-                    return Refusal{RefusalCode::Cancelled, "it was given up", {}};
+                        {{"event", "notice"}, {"message", "cancelled; nothing was checked out"}});
+                    return Refusal{RefusalCode::Cancelled, "it was cancelled", {}};
                 }
             }
         }
@@ -241,18 +242,18 @@ class RunFollower {
                 continue;
             }
             if (ended_by != kDone && interrupted) {
-                say("stopping everybody who takes part");
+                say("stopping every robot that takes part");
                 static_cast<void>(stopAndShow(session_, entities_, {Seconds(1), Seconds(0)}));
                 return kInterrupted;
             }
             if (ended_by != kDone) {
                 session_.events.emit(errorEvent({RefusalCode::OutcomeUnknown,
-                                                 "the run was cancelled and has not said that it ended",
+                                                 "the run was cancelled, but its end was not reported",
                                                  {}}));
                 return ended_by;
             }
             ended_by = interrupted ? kInterrupted : kNotConfirmed;
-            say(interrupted ? "cancelling the run; Ctrl-C again stops everybody at once"
+            say(interrupted ? "cancelling the run; Ctrl-C again stops every robot immediately"
                             : "the time is up: cancelling the run");
             cancel();
             deadline = Clock::now() + kCancelGrace;
@@ -270,7 +271,7 @@ class RunFollower {
                                   {"id", run_},
                                   {"service", event->at("service")},
                                   {"master", event->at("master")}});
-            say("the run goes on: axon global cancel " + shellWord(run_.substr(0, 8)) +
+            say("the run continues: axon global cancel " + shellWord(run_.substr(0, 8)) +
                 " ends it, axon global history " + shellWord(run_.substr(0, 8)) + " shows how it ended");
             return kDone;
         }
@@ -370,7 +371,7 @@ int perform(Session& session, bool check_only) {
                                        event["exit"] = exitOf(report.state, report.reason);
                                        if (!report.reason.ok()) {
                                            const auto error = errorEvent(report.reason);
-                                           if (error.contains("mend")) event["mend"] = error["mend"];
+                                           if (error.contains("fix")) event["fix"] = error["fix"];
                                        }
                                        mailbox->post(std::move(event), !client::isFinal(report.state));
                                    });
@@ -394,18 +395,22 @@ int check(Session& session) {
 }
 
 std::vector<Option> bindingOptions() {
-    return {{"bind", Takes::Binding, "Who plays a role; again for the next. The others are found", {}, true},
+    return {{"bind",
+             Takes::Binding,
+             "The robot that plays a role; repeat it for others. Other roles are bound automatically",
+             {},
+             true},
             {"master", Takes::Entity,
-             "Which participant leads; it makes no difference (who plays the first role)"},
-            {"wait", Takes::MaybeDuration, "Wait for what others hold, perhaps at most so many seconds"}};
+             "Which participant leads (default: the player of the first role); the result is the same"},
+            {"wait", Takes::MaybeDuration, "Wait for robots that others hold, at most this long"}};
 }
 
 std::vector<Option> runOptions() {
     auto options = bindingOptions();
     options.push_back(
-        {"at-most", Takes::Duration, "Cancel the run when it has not ended after so many seconds (exit 4)"});
-    options.push_back(
-        {"detach", Takes::Nothing, "Do not follow it; needs axon checkout of all who take part"});
+        {"at-most", Takes::Duration, "Cancel the run if it has not ended after this long (exit status 4)"});
+    options.push_back({"detach", Takes::Nothing,
+                       "Do not follow the run; needs axon checkout of every robot that takes part"});
     return options;
 }
 
@@ -413,14 +418,15 @@ std::vector<Option> runOptions() {
 
 extern const Verb kGlobalRun{
     "global run",
-    "Carry out a global service and follow it to its end",
+    "Run a global service and follow it to its end",
     "  axon global run 'Fetch ball'\n"
     "  axon global run fetch_ball --bind 0=PeopleBot#2 --bind 1=Cyton\n"
     "  axon global run 'Fetch ball' --master Cyton --at-most 120\n"
     "  axon global run 'Fetch ball' --json | tail -1     the final report\n"
-    "Who plays which role is found among the robots that are free, or held here, and able; it is said. All\n"
-    "of them, or none, are checked out for this run. Nothing moves before every one of them has agreed.\n"
-    "Ctrl-C cancels the run; a second Ctrl-C stops everybody who takes part at once.\n",
+    "Roles that are not bound are played by robots that can play them and are free or held here; the "
+    "command\n"
+    "says which. It checks out all of them for this run, or none. Nothing moves before all of them agree.\n"
+    "Ctrl-C cancels the run; a second Ctrl-C immediately stops every robot that takes part.\n",
     Runs::Anywhere,
     {{"name", Takes::GlobalService, true, false, "Name of the global service"}},
     runOptions(),
@@ -429,16 +435,17 @@ extern const Verb kGlobalRun{
     false,
     2};
 
-extern const Verb kGlobalCheck{"global check",
-                               "Ask everybody whether a global service would go; nothing moves",
-                               "  axon global check 'Fetch ball'\n"
-                               "  axon global check 'Fetch ball' --bind 0=PeopleBot#2\n"
-                               "Prints all that is in the way, with the step, the entity and how to mend it, "
-                               "and exits with 1 then. The\n"
-                               "robots are checked out for as long as it takes.\n",
-                               Runs::Anywhere,
-                               {{"name", Takes::GlobalService, true, false, "Name of the global service"}},
-                               bindingOptions(),
-                               check};
+extern const Verb kGlobalCheck{
+    "global check",
+    "Ask every robot whether a global service can run; nothing moves",
+    "  axon global check 'Fetch ball'\n"
+    "  axon global check 'Fetch ball' --bind 0=PeopleBot#2\n"
+    "Prints every problem with its step, its entity and how to fix it, and exits with "
+    "1 then. The robots\n"
+    "are checked out meanwhile.\n",
+    Runs::Anywhere,
+    {{"name", Takes::GlobalService, true, false, "Name of the global service"}},
+    bindingOptions(),
+    check};
 
 }  // namespace axon::cli

@@ -146,7 +146,7 @@ TEST_F(Global, ARoleThatNobodyCanPlayIsSaidAndNothingIsCheckedOut) {
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}}), kRefused);
     EXPECT_THAT(station->journalNow(), ElementsAre());
     EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("role 1"));
-    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("--wait"));
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("--wait"));
 }
 
 TEST_F(Global, WhoIsNamedForEveryRoleIsAskedWhateverSeemsToBeInTheWay) {
@@ -162,7 +162,7 @@ TEST_F(Global, WaitLooksAgainUntilOthersHaveReleased) {
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}, {"wait", 60.0}}), kDone);
     EXPECT_EQ(station->proposed, 2);
     EXPECT_NE(seen.last("waiting"), nullptr);
-    // What no waiting mends is said at once.
+    // What no waiting fixes is said at once.
     station->in_the_way = {{}, {}, {RefusalCode::UnknownService, "nobody offers fly", {}}};
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}, {"wait", true}}), kRefused);
 }
@@ -236,7 +236,7 @@ TEST_F(Global, DetachNeedsCheckOutsThatOutliveIt) {
     kept = true;
     ASSERT_TRUE(station->checkOut({cyton()}));
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}, {"detach", true}}), kUsage);
-    EXPECT_EQ(seen.last("error")->at("mend"), "axon checkout PeopleBot#1");
+    EXPECT_EQ(seen.last("error")->at("fix"), "axon checkout PeopleBot#1");
     ASSERT_TRUE(station->checkOut({peopleBot()}));
     station->run_script = {running};
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}, {"detach", true}}), kDone);
@@ -248,16 +248,16 @@ TEST_F(Global, DetachNeedsCheckOutsThatOutliveIt) {
     EXPECT_EQ(perform("cancel", Json::object()), kDone);
     EXPECT_EQ(perform("cancel", Json::object()), kRefused) << "it is over";
     EXPECT_THAT(seen.last("error")->at("message").get<std::string>(),
-                HasSubstr("has ended already: CANCELLED"));
+                HasSubstr("has already ended: CANCELLED"));
 }
 
 TEST_F(Global, WhoOnlyNeedsARearmIsNamed) {
     station->in_the_way = {{RefusalCode::Latched, "was stopped", {}}};
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}}), kRefused);
-    EXPECT_EQ(seen.last("error")->at("mend"), "axon rearm Cyton, when it is safe to move again");
+    EXPECT_EQ(seen.last("error")->at("fix"), "rearm it when it is safe to move again: axon rearm Cyton");
 }
 
-TEST_F(Global, CheckPrintsEveryProblemWithItsMend) {
+TEST_F(Global, CheckPrintsEveryProblemWithItsFix) {
     station->run_script = {[](RunReport& report) {
         report.state = RunState::Refused;
         report.problems = {{1, "Cyton", {RefusalCode::InactiveService, "grab is not active", {}}},
@@ -267,19 +267,20 @@ TEST_F(Global, CheckPrintsEveryProblemWithItsMend) {
     EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "check", "release", "release"));
     const auto& problems = seen.events.back()["problems"];
     EXPECT_EQ(problems[0]["service"], "grab");
-    EXPECT_EQ(problems[0]["mend"], "axon info Cyton shows the services and what they take");
+    EXPECT_EQ(problems[0]["fix"], "wait until it is active again; see why it is not: axon info Cyton");
     EXPECT_EQ(problems[1]["step"], nullptr);
     const auto text = shown();
-    EXPECT_THAT(text, HasSubstr("✗ Fetch ball would not go\n"));
-    EXPECT_THAT(text, HasSubstr("  ✗ step 2 (grab) Cyton: grab is not active (INACTIVE_SERVICE)\n"
-                                "      mend: axon info Cyton"));
+    EXPECT_THAT(text, HasSubstr("✗ Fetch ball cannot run now\n"));
+    EXPECT_THAT(text,
+                HasSubstr("  ✗ step 2 (grab) Cyton: grab is not active (INACTIVE_SERVICE)\n"
+                          "      fix: wait until it is active again; see why it is not: axon info Cyton"));
     EXPECT_THAT(text, HasSubstr("  ✗ role 3 has no step (MALFORMED)"));
 }
 
 TEST_F(Global, ACheckThatPassesIsDone) {
     station->run_script = {[](RunReport& report) { report.state = RunState::Succeeded; }};
     EXPECT_EQ(perform("check", {{"name", "Fetch ball"}}), kDone);
-    EXPECT_THAT(shown(), HasSubstr("✓ Fetch ball would go: everybody agrees"));
+    EXPECT_THAT(shown(), HasSubstr("✓ Fetch ball can run: every robot agrees"));
 }
 
 TEST_F(Global, StopStopsThoseWhoTakePartAndNobodyElse) {
@@ -362,7 +363,7 @@ TEST_F(Global, AnUnknownServiceNamesNearOnesAndFilesWithErrors) {
     const auto message = seen.last("error")->at("message").get<std::string>();
     EXPECT_THAT(message, HasSubstr("did you mean \"Fetch ball\"?"));
     EXPECT_THAT(message, HasSubstr("bad.xml"));
-    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("axon global ls"));
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("axon global ls"));
 }
 
 TEST_F(Global, InfoShowsStepsByTheirOrderAndWhatIsInTheWay) {
@@ -380,7 +381,7 @@ TEST_F(Global, InfoShowsStepsByTheirOrderAndWhatIsInTheWay) {
                                 "2                1     grab     Place=approach.Position\n"));
     EXPECT_THAT(text, HasSubstr("  role 1: Cyton was stopped\n"));
     EXPECT_THAT(text, Not(HasSubstr("is ROBOT/MOBILE"))) << "the wrong kind is no news";
-    EXPECT_THAT(text, HasSubstr("✗ nobody offers grab\n"));
+    EXPECT_THAT(text, HasSubstr("✗ no entity offers grab\n"));
 }
 
 TEST_F(Global, HistoryIsATableAndOneRunItsSteps) {
@@ -411,7 +412,7 @@ TEST_F(Global, HistoryIsATableAndOneRunItsSteps) {
     auto text = shown();
     EXPECT_THAT(text, HasSubstr("0a0a0a0a  "));
     EXPECT_THAT(text, HasSubstr("Fetch ball  failed   12.5 s  Cyton   ana@lab  the ball rolled away\n"));
-    EXPECT_THAT(text, HasSubstr("! PeopleBot#2 does not tell"));
+    EXPECT_THAT(text, HasSubstr("! PeopleBot#2 does not answer"));
     EXPECT_EQ(perform("history", {{"run", "0a0"}}), kRefused) << "two begin so";
     EXPECT_EQ(perform("history", {{"run", "ff"}}), kRefused);
     EXPECT_EQ(perform("history", {{"run", "0a0a"}}), kDone);
@@ -509,13 +510,13 @@ TEST(GlobalCommandLine, MistakesAndHelpAtBothLevels) {
     const auto nothing = [](const char*) -> const char* { return nullptr; };
     auto parsed = parseCommandLine({"global", "rum"}, nothing);
     EXPECT_EQ(parsed.exit, kUsage);
-    EXPECT_THAT(parsed.err, HasSubstr("global has no verb \"rum\"\nmend: did you mean \"run\"?"));
+    EXPECT_THAT(parsed.err, HasSubstr("unknown verb \"global rum\"\nfix: did you mean \"run\"?"));
     parsed = parseCommandLine({"global", "run"}, nothing);
-    EXPECT_THAT(parsed.err, HasSubstr("Usage: axon global run NAME"));
+    EXPECT_THAT(parsed.err, HasSubstr("fix: axon global run NAME"));
     parsed = parseCommandLine({"--server", "lab:1", "--json", "global", "--timeout", "2", "rum"}, nothing);
-    EXPECT_THAT(parsed.err, HasSubstr("global has no verb \"rum\""));
+    EXPECT_THAT(parsed.err, HasSubstr("unknown verb \"global rum\""));
     parsed = parseCommandLine({"--server", "lab:1", "globul"}, nothing);
-    EXPECT_THAT(parsed.err, HasSubstr("there is no verb \"globul\""));
+    EXPECT_THAT(parsed.err, HasSubstr("unknown verb \"globul\""));
     parsed = parseCommandLine({"globul"}, nothing);
     EXPECT_THAT(parsed.err, HasSubstr("\"global\""));
     for (const auto& words : std::vector<std::vector<std::string>>{{"global"}, {"global", "--help"}}) {

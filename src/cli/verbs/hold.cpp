@@ -71,37 +71,40 @@ extern const Verb kCheckout{
     "  axon checkout PeopleBot                   kept until axon release\n"
     "  axon checkout PeopleBot Cyton             both or neither\n"
     "  axon checkout --query '2 ROBOT/MOBILE + 1 ROBOT/STATIONARY with Gripping'\n"
-    "                                            whichever are free and ready\n"
-    "  axon checkout PeopleBot --wait            get in line, and show the place; --wait=60: for a minute\n"
+    "                                            any that are free and ready\n"
+    "  axon checkout PeopleBot --wait            wait in line and show the place; --wait=60: at most a "
+    "minute\n"
     "  axon checkout PeopleBot --ask 'for a demonstration'\n"
     "                                            ask the holder, who answers with axon handover\n"
     "  axon checkout PeopleBot --force 'battery is low'\n"
-    "                                            take it (admins): it is stopped first, the holder is told\n"
+    "                                            take it over (administrators): it is stopped first, and the "
+    "holder is told\n"
     "  axon checkout PeopleBot -- ./experiment   held while the command runs;\n"
     "                                            its axon commands use this check-out\n",
     Runs::Keeper,
-    {{"entity", Takes::Entity, false, true, "What to check out"}},
-    {{"query", Takes::Text, "Instead of names: [COUNT] KIND [with SERVICE] + …; a kind is ROBOT/MOBILE"},
-     {"wait", Takes::MaybeDuration, "Wait until it is free, so many seconds at most (a day)"},
+    {{"entity", Takes::Entity, false, true, "Entities to check out"}},
+    {{"query", Takes::Text,
+      "Instead of names: [COUNT] KIND [with SERVICE] + …; a kind is for example ROBOT/MOBILE"},
+     {"wait", Takes::MaybeDuration, "Wait until it is free, at most this long (default a day)"},
      {"ask", Takes::Text, "Ask the holder to hand it over, for this reason"},
-     {"force", Takes::Text, "Take it from its holder, for this reason (admins only)"},
+     {"force", Takes::Text, "Take it from its holder, for this reason (administrators only)"},
      {"hand-over",
       Takes::Choice,
-      "When others ask for it: ask (you, silence refuses), yield (silence hands over), refuse",
+      "If others ask for it: ask (you decide; no answer refuses), yield (no answer hands over) or refuse",
       {"ask", "yield", "refuse"}}},
     checkout};
 
 extern const Verb kHandover{
     "handover",
-    "Answer who asks for an entity that you hold",
+    "Answer a request for an entity that you hold",
     "  axon handover PeopleBot accept\n"
     "  axon handover PeopleBot refuse --reason 'ten more minutes'\n"
     "Accepting stops the robot and ends your check-out. Open requests are shown by the axon commands that\n"
     "use your check-outs, and by axon agent status.\n",
     Runs::Kept,
-    {{"entity", Takes::Entity, true, false, "Which entity"},
+    {{"entity", Takes::Entity, true, false, "The entity"},
      {"answer", Takes::Choice, true, false, "accept or refuse", {"accept", "refuse"}}},
-    {{"reason", Takes::Text, "What who asks is told"}},
+    {{"reason", Takes::Text, "Text for the client that asks"}},
     handover};
 
 extern const Verb kRelease{"release",
@@ -109,8 +112,9 @@ extern const Verb kRelease{"release",
                            "  axon release PeopleBot\n"
                            "  axon release                     everything that is held here\n",
                            Runs::Kept,
-                           {{"entity", Takes::Entity, false, true, "What to release; none = everything"}},
-                           {{"all", Takes::Nothing, "Everything that is held here (as without a name)"}},
+                           {{"entity", Takes::Entity, false, true,
+                             "Entities to release; without a name, everything that is held here"}},
+                           {{"all", Takes::Nothing, "Everything that is held here, as without a name"}},
                            release};
 
 }  // namespace axon::cli

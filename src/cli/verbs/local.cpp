@@ -68,21 +68,21 @@ int version(Session& session) {
 
 }  // namespace
 
-extern const Verb kProfile{
-    "profile",
-    "Check profiles (XML) before a robot uses them",
-    "  axon profile check basic.xml services.xml\n"
-    "Each finding says file:line, what was expected and how to mend it. Warnings leave the exit status 0.\n",
-    Runs::Local,
-    {{"action", Takes::Choice, true, false, "check", {"check"}},
-     {"files", Takes::File, true, true, "Profiles"}},
-    {},
-    profile};
+extern const Verb kProfile{"profile",
+                           "Check profiles (XML) before a robot uses them",
+                           "  axon profile check basic.xml services.xml\n"
+                           "Each finding says file:line, what was expected and how to fix it. With warnings "
+                           "only, the exit status is 0.\n",
+                           Runs::Local,
+                           {{"action", Takes::Choice, true, false, "check", {"check"}},
+                            {"files", Takes::File, true, true, "Profiles"}},
+                           {},
+                           profile};
 
 extern const Verb kAgent{"agent",
                          "Show or end the agent that keeps check-outs between commands",
                          "  axon agent status\n"
-                         "  axon agent stop      releases what it holds\n",
+                         "  axon agent stop      also releases what it holds\n",
                          Runs::Kept,
                          {{"action",
                            Takes::Choice,

@@ -108,7 +108,7 @@ TEST_F(Ownership, ThePlaceIsShownAsItChanges) {
 TEST_F(Ownership, ARefusedHandOverSaysWhatElseCanBeDone) {
     station->check_out_refusal = {RefusalCode::HandOverRefused, "client2@lab does not hand it over", {}};
     EXPECT_EQ(perform("checkout", {{"entity", {"Cyton"}}, {"ask", "please"}}), kRefused);
-    EXPECT_EQ(seen.last("error")->at("mend"), "wait until it is free: axon checkout Cyton --wait");
+    EXPECT_EQ(seen.last("error")->at("fix"), "wait until it is free: axon checkout Cyton --wait");
 }
 
 TEST_F(Ownership, TheHolderAnswersOnce) {
@@ -131,8 +131,8 @@ TEST_F(Ownership, ARequestIsShownWithHowToAnswerItOrHowItEnds) {
         return err.str();
     };
     EXPECT_THAT(text("axon handover"), HasSubstr("client2@lab asks for Cyton: a demonstration"));
-    EXPECT_THAT(text("axon handover"), HasSubstr("axon handover Cyton accept, or refuse; silence refuses"));
-    EXPECT_THAT(text(""), HasSubstr("nobody can answer for this command: it is refused after 30.0 s"));
+    EXPECT_THAT(text("axon handover"), HasSubstr("axon handover Cyton accept, or refuse; no answer refuses"));
+    EXPECT_THAT(text(""), HasSubstr("nobody can answer for this command: Cyton stays here after 30.0 s"));
     EXPECT_THAT(text(""), Not(HasSubstr("axon handover")));
     station->asks = "client2@lab";
     EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"for", 0.01}}), kDone);
@@ -158,7 +158,7 @@ TEST_F(Ownership, ASecondWaitForTheSameSaysWhichOneToEnd) {
     station->check_out_refusal = {
         RefusalCode::Duplicate, "You wait for it already, with another request.", {}};
     EXPECT_EQ(perform("checkout", {{"entity", {"Cyton"}}, {"wait", true}}), kRefused);
-    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(),
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(),
                 HasSubstr("another axon checkout of yours"));
 }
 
@@ -174,10 +174,11 @@ TEST_F(Ownership, LsAndInfoShowWhatIsOwnedAndHowNearTheDeadMenAre) {
     EXPECT_EQ(seen.last("entity")->at("watchdogs").at(0).at("longest_gap_ms"), 200);
     const auto text = shown();
     EXPECT_THAT(text, HasSubstr("client2@lab (lost)"));
-    EXPECT_THAT(text, HasSubstr("2 wait for it"));
+    EXPECT_THAT(text, HasSubstr("2 clients are waiting for it"));
     EXPECT_THAT(text, HasSubstr("stop latency 1.2 ms"));
-    EXPECT_THAT(text,
-                HasSubstr("dead-man client: stops after 250 ms, longest gap of the last minute 200 ms"));
+    EXPECT_THAT(
+        text,
+        HasSubstr("watchdog client: stops after 250 ms of silence, longest gap in the last minute 200 ms"));
 }
 
 TEST_F(Ownership, WhichWayMessagesGoIsShownOfWhatIsHeld) {
@@ -186,11 +187,11 @@ TEST_F(Ownership, WhichWayMessagesGoIsShownOfWhatIsHeld) {
     ASSERT_EQ(perform("checkout", {{"entity", {"Cyton"}}}), kDone);
     EXPECT_EQ(perform("info", {{"entity", "Cyton"}}), kDone);
     EXPECT_EQ(seen.last("entity")->at("entity").at("direct"), false);
-    EXPECT_THAT(shown(), HasSubstr("messages go by the servers"));
+    EXPECT_THAT(shown(), HasSubstr("messages go through the servers"));
     station->direct_id = station->entities_[2].id;
     EXPECT_EQ(perform("info", {{"entity", "Cyton"}}), kDone);
     EXPECT_EQ(seen.last("entity")->at("entity").at("direct"), true);
-    EXPECT_THAT(shown(), HasSubstr("messages go straight to its Entity Manager"));
+    EXPECT_THAT(shown(), HasSubstr("messages go directly to its Entity Manager"));
     EXPECT_EQ(perform("ls", Json::object()), kDone);
     for (const auto& entity : seen.last("entities")->at("entities"))
         EXPECT_EQ(entity.at("direct"), entity.at("id") == station->direct_id);

@@ -45,10 +45,9 @@ class Follower {
             const bool interrupted = session_.mailbox->takeInterrupt();
             if (ended_by != kDone) {
                 // Cancelled before, and not over in time; or a second Ctrl-C.
-                session_.events.emit(errorEvent({RefusalCode::OutcomeUnknown,
-                                                 "the task was cancelled and has not said that it ended",
-                                                 {}},
-                                                entity_));
+                session_.events.emit(errorEvent(
+                    {RefusalCode::OutcomeUnknown, "the task was cancelled, but its end was not reported", {}},
+                    entity_));
                 return ended_by;
             }
             ended_by = interrupted ? kInterrupted : kNotConfirmed;
@@ -93,8 +92,8 @@ class Follower {
         session_.events.emit(
             {{"event", "notice"},
              {"message",
-              (waits ? "the task waits for its turn, and the robot has not been asked yet: axon wait "
-                     : "the task goes on: axon wait ") +
+              (waits ? "the task is waiting for its turn, and the robot has not been asked yet: axon wait "
+                     : "the task continues: axon wait ") +
                   id + " waits for its end, axon cancel " + shellWord(entity_) + " " + id + " ends it"}});
         return true;
     }
@@ -167,20 +166,20 @@ extern const Verb kRun{
     "  axon run PeopleBot Driving Distance=1000mm 'Range Threshold=500'\n"
     "  axon run PeopleBot Driving distance=1000 range_threshold=500   the same\n"
     "  axon run PeopleBot Driving Distance=1000 --json | tail -1      the final report\n"
-    "  axon run PeopleBot Driving Distance=1000 --detach              begin it, and do something else\n"
-    "  axon wait                                                      until it has ended\n"
+    "  axon run PeopleBot Driving Distance=1000 --detach              start it, and do not follow it\n"
+    "  axon wait                                                      wait until it has ended\n"
     "Ctrl-C cancels the task. Without axon checkout the entity is checked out for this run only.\n"
-    "--detach ends with status 0 when the robot has begun the task, or its Entity Manager lets it wait "
+    "--detach ends with status 0 when the robot has started the task, or its Entity Manager has put it "
     "behind others.\n"
-    "A task that is refused is not detached: the reason is shown, and the status is that of any refusal.\n",
+    "If the task is refused, the reason is shown, and the exit status is that of the refusal.\n",
     Runs::Holder,
-    {{"entity", Takes::Entity, true, false, "Which entity"},
+    {{"entity", Takes::Entity, true, false, "The entity"},
      {"service", Takes::Service, true, false, "Name or global id of the service"},
      {"parameters", Takes::KeyValue, false, true,
-      "PARAMETER=VALUE; again for a parameter of several values"}},
-    {{"wait", Takes::Duration, "Cancel the task when it has not ended after so many seconds (exit 4)"},
-     {"not-after", Takes::Duration, "Refuse the task when it could not begin within so many seconds"},
-     {"detach", Takes::Nothing, "Do not follow it once it is admitted; needs axon checkout"}},
+      "PARAMETER=VALUE; repeat it for a parameter that takes several values"}},
+    {{"wait", Takes::Duration, "Cancel the task if it has not ended after this long (exit status 4)"},
+     {"not-after", Takes::Duration, "Refuse the task if it cannot start within this long"},
+     {"detach", Takes::Nothing, "Do not follow the task after its admission; needs axon checkout"}},
     run};
 
 }  // namespace axon::cli

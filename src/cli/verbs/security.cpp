@@ -54,17 +54,19 @@ Exposure exposureOf(const std::string& server) {
 
 void checkExposure(Report& report, const std::string& server, const Exposure& exposure) {
     if (exposure.tls)
-        report.ok("way", "TLS to " + server);
+        report.ok("connection", "TLS to " + server);
     else if (exposure.here)
-        report.ok("way", "plain TCP to " + server + ", which does not leave this machine");
+        report.ok("connection", "plain TCP to " + server + ", which does not leave this machine");
     else if (exposure.some_tls)
-        report.warn("way", server + " offers plain TCP beside TLS, and who has no certificates takes that",
-                    "leave the tcp endpoint out of the router's configuration");
+        report.warn("connection",
+                    server + " offers plain TCP beside TLS, and clients without certificates use it",
+                    "remove the tcp endpoint from the configuration of the router");
     else
         report.bad(
-            "way",
+            "connection",
             "plain TCP to " + server +
-                ": whoever is on the way reads passwords and leases, and may stop and order robots",
+                ": anyone on the network between can read passwords and leases, and can stop and command "
+                "robots",
             "axon certs makes certificates; then give the server ssl endpoints (docs/reference/tls.md)");
 }
 
@@ -73,20 +75,21 @@ void checkLogIn(Report& report, Session& session, const Exposure& exposure) {
     const auto mine = session.connect(session.settings);
     if (!mine) {
         const auto event = noServerEvent(mine.refusal(), session.settings.server);
-        report.bad("log-in", event.value("message", ""), event.value("mend", ""));
+        report.bad("log-in", event.value("message", ""), event.value("fix", ""));
         return;
     }
     if (mine.value()->self().role == Role::Admin && !session.settings.user.empty())
         report.warn("role",
                     "you are " + session.settings.user +
                         ", an administrator, who may take robots over and rearm those of others",
-                    "log in as an operator for daily work, as an observer to look on");
+                    "log in as an operator for daily work, or as an observer to watch");
     const bool shows_certificate = std::any_of(
         session.settings.properties.begin(), session.settings.properties.end(),
         [](const auto& one) { return one.first == "IceSSL.CertFile" || one.first == "IceSSL.FindCert"; });
     if (shows_certificate) {
-        report.ok("log-in",
-                  "you log in by a certificate; whether somebody without one is let in was not tried");
+        report.ok(
+            "log-in",
+            "you log in with a certificate; whether the server admits clients without one was not tried");
         return;
     }
     auto nobody = session.settings;
@@ -94,28 +97,28 @@ void checkLogIn(Report& report, Session& session, const Exposure& exposure) {
     nobody.password.clear();
     const auto let_in = session.connect(nobody);
     if (!let_in && let_in.refusal().code == RefusalCode::PermissionDenied) {
-        report.ok("log-in", "who gives no password is refused");
+        report.ok("log-in", "clients without a password are refused");
         return;
     }
     if (!let_in) {
         report.warn(
             "log-in",
-            "whether somebody without a password is let in could not be tried: " + let_in.refusal().message,
-            "try again when the server has time");
+            "cannot find out whether clients without a password are admitted: " + let_in.refusal().message,
+            "try again later");
         return;
     }
     const auto role = let_in.value()->self().role;
-    const auto message = std::string("whoever reaches the server is let in without a password, you as ") +
+    const auto message = std::string("the server admits clients without a password, you as ") +
                          (role == Role::Observer   ? "an observer"
                           : role == Role::Operator ? "an operator"
                                                    : "an administrator");
-    const std::string mend =
-        "axon-server --users users.cfg --add-user NAME, for each; then start the server with --users "
-        "users.cfg";
+    const std::string fix =
+        "add each user with axon-server --users users.cfg --add-user NAME, then start the server with "
+        "--users users.cfg";
     if (exposure.here)
-        report.warn("log-in", message + "; only processes of this machine reach it by this address", mend);
+        report.warn("log-in", message + "; only processes on this machine can reach this address", fix);
     else
-        report.bad("log-in", message, mend);
+        report.bad("log-in", message, fix);
 }
 
 /// What the Entity Managers of this user keep here: the leases' keys and the secrets that prove who a robot
@@ -144,14 +147,14 @@ void checkStateFolders(Report& report) {
         } else if ((found.st_mode & 0077U) != 0) {
             open = true;
             report.bad("state",
-                       "others may look into " + name + ", where a robot keeps its secret and its leases",
+                       "other users can read " + name + ", where a robot keeps its secret and its leases",
                        "chmod 700 " + shellWord(name));
         }
     }
     if (folders > 0 && !open)
         report.ok("state", std::to_string(folders) + (folders == 1 ? " folder" : " folders") +
                                " of robots in " + root.string() + (folders == 1 ? " is" : " are") +
-                               " private; folders elsewhere (Axon.State) are not looked at");
+                               " private; folders elsewhere (Axon.State) are not checked");
 }
 
 }  // namespace

@@ -110,47 +110,50 @@ int clear(Session& session) {
 
 extern const Verb kStop{
     "stop",
-    "Stop entities at once, whoever holds them; no name = everything",
+    "Stop entities immediately, whoever holds them; without a name, all of them",
     "  axon stop PeopleBot      also when somebody else holds it\n"
     "  axon stop --all          the whole laboratory (so does axon stop alone)\n"
-    "Prints the receipt: when the server, the manager and the robot's stop callback had it, and when the\n"
-    "application said that it stands still. Exit status 0 only when every stop is confirmed, which is when\n"
-    "the callback has returned, else 4. Of a robot that was moving, and whose application reports that it\n"
-    "stands still, that is waited for as well: 5 seconds, or what --deadline says; --no-wait does not.\n"
-    "An application that is silent, or has died, cannot confirm: 4. Go and look at the robot then.\n"
-    "A stopped entity refuses tasks until axon rearm. This is a control-system stop, not an emergency "
-    "stop.\n",
+    "Prints the receipt: when the server, the Entity Manager and the robot's stop callback had the stop,\n"
+    "and when the application reported that the robot stands still. A stop is confirmed when the callback\n"
+    "has returned. The exit status is 0 only if every stop is confirmed, otherwise 4. If a robot was moving\n"
+    "and its application reports standstill, the command waits for that too: 5 seconds, or as long as\n"
+    "--deadline says; with --no-wait it does not. An application that hangs or has died cannot confirm:\n"
+    "look at the robot then. A stopped entity refuses tasks until axon rearm. This is a control-system\n"
+    "stop, not an emergency stop.\n",
     Runs::Anywhere,
-    {{"entity", Takes::Entity, false, true, "What to stop; a name that several share stops all of them"}},
-    {{"all", Takes::Nothing, "Everything there is"},
-     {"deadline", Takes::Duration, "How long to wait for the receipts (1; 5 for the standstill)"},
-     {"no-wait", Takes::Nothing, "Do not wait until robots that were moving stand still"}},
+    {{"entity", Takes::Entity, false, true, "Entities to stop; a name that several share stops all of them"}},
+    {{"all", Takes::Nothing, "All entities"},
+     {"deadline", Takes::Duration, "How long to wait for the receipts (default 1; 5 for the standstill)"},
+     {"no-wait", Takes::Nothing, "Do not wait for the standstill of robots that were moving"}},
     stop};
 
-extern const Verb kRearm{
-    "rearm",        "Let a stopped entity take tasks again; starts nothing",  "  axon rearm PeopleBot\n",
-    Runs::Anywhere, {{"entity", Takes::Entity, true, true, "What to rearm"}}, {},
-    rearm};
+extern const Verb kRearm{"rearm",
+                         "Let a stopped entity take tasks again; nothing starts by itself",
+                         "  axon rearm PeopleBot\n",
+                         Runs::Anywhere,
+                         {{"entity", Takes::Entity, true, true, "Entities to rearm"}},
+                         {},
+                         rearm};
 
 extern const Verb kReset{
     "reset",
-    "End the running task and go on with the next one waiting",
+    "End the running task and start the next waiting one",
     "  axon reset PeopleBot\n"
-    "Unlike axon stop, the entity is not latched. Refused (WRONG_STATE) while it takes part in a\n"
-    "global service and runs no step of it; exit status 4 when the robot has not confirmed.\n",
+    "Unlike axon stop, this does not latch the entity. It is refused (WRONG_STATE) while the entity takes\n"
+    "part in a global service and runs no step of it. The exit status is 4 if the robot does not confirm.\n",
     Runs::Kept,
-    {{"entity", Takes::Entity, true, false, "Which entity"}},
+    {{"entity", Takes::Entity, true, false, "The entity"}},
     {},
     reset};
 
 extern const Verb kClear{
     "clear",
-    "End the running task and forget the ones waiting",
+    "End the running task and remove the waiting ones",
     "  axon clear PeopleBot\n"
-    "Unlike axon stop, the entity is not latched. A run of a global service in which it takes part\n"
-    "ends. Exit status 4 when the robot has not confirmed.\n",
+    "Unlike axon stop, this does not latch the entity. A run of a global service in which the entity takes\n"
+    "part ends. The exit status is 4 if the robot does not confirm.\n",
     Runs::Kept,
-    {{"entity", Takes::Entity, true, false, "Which entity"}},
+    {{"entity", Takes::Entity, true, false, "The entity"}},
     {},
     clear};
 

@@ -23,9 +23,7 @@ std::string entityOf(const std::string& id, const std::vector<Entity>& all) {
 Refusal ambiguous(const std::vector<TaskReport>& candidates) {
     std::string list;
     for (const auto& task : candidates) list += "\n  " + task.id + "  " + task.service;
-    return {RefusalCode::UnknownTask,
-            "several tasks may be meant; name one by the beginning of its id:" + list,
-            {}};
+    return {RefusalCode::UnknownTask, "several tasks match; name one by the beginning of its id:" + list, {}};
 }
 
 /// The task that is meant: by the beginning of its id, or the only one of the entity that is not over.
@@ -134,7 +132,7 @@ class Changes {
         if (const auto code = event.at("code").get<int>(); code != 0) {
             const auto error = errorEvent(
                 {static_cast<RefusalCode>(code), {}, event.at("reason").value("holder", "")}, name);
-            if (error.contains("mend")) event["mend"] = error["mend"];
+            if (error.contains("fix")) event["fix"] = error["fix"];
         }
         event.erase("code");
         event.erase("exit");
@@ -162,8 +160,7 @@ class Changes {
 int tasks(Session& session) {
     const bool follow = session.args.value("follow", false);
     if (!follow && session.args.contains("for"))
-        return misused(session, "--for says how long to follow, and needs --follow",
-                       "axon tasks --follow --for 60");
+        return misused(session, "--for limits --follow, and needs it", "axon tasks --follow --for 60");
     std::string only;
     if (const auto name = session.args.value("entity", ""); !name.empty()) {
         const auto entity = session.station->find(name);
@@ -211,9 +208,10 @@ Result<std::vector<KeptTask>> awaited(Session& session) {
         }
         if (candidates.size() > 1) return ambiguous(candidates);
         if (candidates.empty()) {
-            auto message = "no task that was begun here has an id that begins with " + inQuotes(name);
+            auto message = "no task that was started here has an id that begins with " + inQuotes(name);
             if (kept.forgotten > 0)
-                message += "; " + std::to_string(kept.forgotten) + " that are over are no longer kept";
+                message +=
+                    "; " + std::to_string(kept.forgotten) + " tasks that have ended are no longer kept";
             return Refusal{RefusalCode::UnknownTask, message, {}};
         }
         const bool again = std::any_of(chosen.begin(), chosen.end(),
@@ -246,14 +244,14 @@ int waitForTasks(Session& session) {
     while (open() > 0) {
         const auto event = session.mailbox->wait(end);
         if (!event) {
-            const std::string go_on = open() == 1 ? "the task goes on" : "the tasks go on";
+            const std::string go_on = open() == 1 ? "the task continues" : "the tasks continue";
             if (session.mailbox->takeInterrupt()) {
                 session.events.emit({{"event", "notice"}, {"message", go_on + ": axon tasks shows more"}});
                 return kInterrupted;
             }
             return refuse(session, {RefusalCode::TimedOut,
                                     std::to_string(open()) + " of " + std::to_string(exits.size()) +
-                                        " had not ended when the time of --for was up; " + go_on,
+                                        " tasks had not ended when the time of --for was up; " + go_on,
                                     {}});
         }
         if (event->at("event") != "task" || exits.count(event->at("id")) != 0) show(*event);
@@ -264,51 +262,50 @@ int waitForTasks(Session& session) {
 }
 
 std::vector<Operand> taskOperands() {
-    return {{"entity", Takes::Entity, true, false, "Which entity"},
-            {"task", Takes::Task, false, false, "Beginning of the task's id; none = the running one"}};
+    return {{"entity", Takes::Entity, true, false, "The entity"},
+            {"task", Takes::Task, false, false, "Beginning of the task's id; without one, the running task"}};
 }
 
 }  // namespace
 
 extern const Verb kTasks{"tasks",
-                         "Show the tasks that were begun under axon checkout",
+                         "Show the tasks that were started under axon checkout",
                          "  axon tasks\n"
                          "  axon tasks PeopleBot\n"
-                         "  axon tasks --follow                       each change from now on, until Ctrl-C\n"
+                         "  axon tasks --follow                       then each change, until Ctrl-C\n"
                          "  axon tasks --follow --for 60 --json       for a minute, as JSON lines\n"
-                         "Every task that is running or waiting is listed, and the newest 256 of all; how "
-                         "many older ones are over and\n"
-                         "no longer listed stands below the list. The list ends with the agent, when "
+                         "The list has every task that is running or waiting, and the newest 256 of all. The "
+                         "agent forgets it when\n"
                          "everything has been released.\n",
                          Runs::Kept,
-                         {{"entity", Takes::Entity, false, false, "Only this entity's"}},
-                         {{"follow", Takes::Nothing, "Then show each change, of new tasks too"},
-                          {"for", Takes::Duration, "Follow for so many seconds, then end"}},
+                         {{"entity", Takes::Entity, false, false, "Only the tasks of this entity"}},
+                         {{"follow", Takes::Nothing, "Then show every change, of new tasks too"},
+                          {"for", Takes::Duration, "Follow for this long, then end"}},
                          tasks};
 
 extern const Verb kWait{
     "wait",
-    "Wait for the end of tasks that were begun with axon run --detach",
+    "Wait for the end of tasks that were started with axon run --detach",
     "  axon run PeopleBot Driving Distance=1000 --detach\n"
     "  axon run Cyton 'Reach Demo' --detach\n"
-    "  axon wait                    until all that are running or waiting now have ended\n"
+    "  axon wait                    for all tasks that are running or waiting now\n"
     "  axon wait 3f2a               the task whose id begins so (axon tasks)\n"
-    "  axon wait 3f2a --for 30      at most 30 s; a task that has not ended goes on, and the status is 4\n"
-    "Shows each change as axon run does. The status is that of the first task, as they were named, that did "
-    "not\n"
-    "succeed. A task that has ended before is reported at once. Ctrl-C ends the waiting, and no task.\n",
+    "  axon wait 3f2a --for 30      at most 30 s; if the task has not ended, it continues, and the status is "
+    "4\n"
+    "Shows every change as axon run does. The exit status is that of the first named task that did not\n"
+    "succeed. A task that has already ended is reported immediately. Ctrl-C ends the wait, not the tasks.\n",
     Runs::Kept,
-    {{"task", Takes::Task, false, true, "Beginning of a task's id; none = all that are not over"}},
-    {{"for", Takes::Duration, "Wait for so many seconds at most"}},
+    {{"task", Takes::Task, false, true, "Beginning of a task's id; without one, all that have not ended"}},
+    {{"for", Takes::Duration, "Wait at most this long"}},
     waitForTasks};
 
 extern const Verb kPause{"pause", "Pause a task", "  axon pause PeopleBot\n", Runs::Kept, taskOperands(),
                          {},      pauseTask};
-extern const Verb kResume{
-    "resume",  "Let a paused task go on", "  axon resume PeopleBot\n", Runs::Kept, taskOperands(), {},
-    resumeTask};
+extern const Verb kResume{"resume",   "Continue a paused task", "  axon resume PeopleBot\n",
+                          Runs::Kept, taskOperands(),           {},
+                          resumeTask};
 extern const Verb kCancel{"cancel",
-                          "End a task, running or waiting, without a latch",
+                          "Cancel a running or waiting task, without latching the entity",
                           "  axon cancel PeopleBot\n"
                           "  axon cancel PeopleBot 3f2a     the task whose id begins so (axon tasks)\n",
                           Runs::Kept,

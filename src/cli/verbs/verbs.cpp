@@ -56,12 +56,13 @@ const std::vector<const Verb*>& verbs() {
 const std::vector<VerbGroup>& verbGroups() {
     static const std::vector<VerbGroup> all{
         {"global", "Global services: several robots together",
-         "To begin:\n"
-         "  axon global ls                  what can the server offer?\n"
-         "  axon global info 'Fetch ball'   its steps, and who could play which role\n"
-         "  axon global check 'Fetch ball'  would it go? nothing moves\n"
-         "  axon global run 'Fetch ball'    do it\n"
-         "axon global VERB --help shows more. Options of every verb (--server, --json, …): axon --help\n"}};
+         "Get started:\n"
+         "  axon global ls                  list the global services of the server\n"
+         "  axon global info 'Fetch ball'   show its steps, and which robots can play its roles\n"
+         "  axon global check 'Fetch ball'  check whether it can run; nothing moves\n"
+         "  axon global run 'Fetch ball'    run it\n"
+         "axon global VERB --help shows more. axon --help shows the options that all verbs share (--server, "
+         "--json, …).\n"}};
     return all;
 }
 

@@ -82,7 +82,7 @@ TEST_F(Verbs, DoctorNamesAnEntityWithoutItsApplicationAndOneWithoutProfiles) {
     for (const auto& event : seen.events) findings[event.value("name", "")] = event;
     EXPECT_EQ(findings["greeter"]["level"], "bad");
     EXPECT_THAT(findings["greeter"]["message"].get<std::string>(), HasSubstr(waiting.reason));
-    EXPECT_THAT(findings["greeter"]["mend"].get<std::string>(), HasSubstr("--application"));
+    EXPECT_THAT(findings["greeter"]["fix"].get<std::string>(), HasSubstr("--application"));
     EXPECT_EQ(findings["half"]["level"], "bad");
     EXPECT_THAT(findings["half"]["message"].get<std::string>(), HasSubstr(silent.reason));
 }
@@ -111,15 +111,15 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
     settings.user = "ana";
     settings.password = "secret";
     auto levels = examine();
-    EXPECT_EQ(levels["way"], "ok") << "loopback";
+    EXPECT_EQ(levels["connection"], "ok") << "loopback";
     EXPECT_EQ(levels["log-in"], "ok");
     EXPECT_EQ(levels["state"], "ok");
     EXPECT_FALSE(levels.contains("role"));
 
     settings.server = "192.168.0.9:10410";
-    EXPECT_EQ(examine()["way"], "bad");
+    EXPECT_EQ(examine()["connection"], "bad");
     settings.server = "ssl://lab.example.org:10410";
-    EXPECT_EQ(examine()["way"], "ok");
+    EXPECT_EQ(examine()["connection"], "ok");
 
     for (const auto& [router, level] : std::map<std::string, std::string>{
              {"Axon.Clients/router:tcp -h 127.0.0.1 -p 10414", "ok"},
@@ -128,7 +128,7 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
              {"Axon.Clients/router:ssl -h lab.example.org -p 10414:tcp -h lab.example.org -p 10415",
               "warn"}}) {
         settings.server = router;
-        EXPECT_EQ(examine()["way"], level) << router;
+        EXPECT_EQ(examine()["connection"], level) << router;
     }
 
     settings.server = "192.168.0.9:10410";
@@ -213,7 +213,7 @@ TEST_F(Verbs, AnInterruptOfACheckOutOfItsOwnGivesThatUpAndBeginsNothing) {
     for (const auto& [verb, args] : verbs) {
         station->on_check_out = [this] { mailbox->interrupt(); };
         EXPECT_EQ(perform(verb, args), kInterrupted) << verb;
-        EXPECT_EQ(seen.last("notice")->at("message"), "given up; nothing was checked out") << verb;
+        EXPECT_EQ(seen.last("notice")->at("message"), "cancelled; nothing was checked out") << verb;
         EXPECT_EQ(seen.last("error"), nullptr) << verb;
     }
     EXPECT_TRUE(station->held().empty());
@@ -296,7 +296,7 @@ TEST_F(Verbs, DetachWaitsForTheAdmission) {
     EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("axon wait abcdef00"));
     station->script = {{State::Queued, -1, "", {}, {}}, {State::Queued, -1, "", {}, {}, kAccepted}};
     EXPECT_EQ(perform("run", args), kDone);
-    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("waits for its turn"));
+    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("is waiting for its turn"));
 }
 
 TEST_F(Verbs, ATaskWhoseAdmissionIsInterruptedIsCancelled) {
@@ -356,7 +356,7 @@ TEST_F(Verbs, WaitLeavesTheTaskAloneWhenItsTimeIsUpOrItIsInterrupted) {
     EXPECT_EQ(seen.last("error")->at("code"), "TIMED_OUT");
     mailbox->interrupt();
     EXPECT_EQ(perform("wait", Json::object()), kInterrupted);
-    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("the task goes on"));
+    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("the task continues"));
     EXPECT_THAT(station->journalNow(), ElementsAre("checkOut"));
     EXPECT_EQ(perform("wait", {{"task", {"0000"}}}), kRefused);
     EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_TASK");
@@ -407,19 +407,19 @@ TEST_F(Verbs, ARefusedCheckOutNamesTheHolderAndRunsNothing) {
 }
 
 TEST_F(Verbs, NobodyIsToldToAskAHolderWhoIsLostOrIsOneself) {
-    const auto mend = [&] {
+    const auto fix = [&] {
         EXPECT_EQ(perform("run", runCyton()), kRefused);
-        return seen.last("error")->at("mend").get<std::string>();
+        return seen.last("error")->at("fix").get<std::string>();
     };
     station->check_out_refusal = {RefusalCode::AlreadyHeld, "Cyton is held by cl2@lab", "cl2@lab"};
-    EXPECT_THAT(mend(), HasSubstr("ask cl2@lab"));
+    EXPECT_THAT(fix(), HasSubstr("ask cl2@lab"));
     station->entities_[2].orphaned = true;
-    EXPECT_THAT(mend(), AllOf(HasSubstr("lost its connection"), HasSubstr("axon checkout Cyton --wait")));
+    EXPECT_THAT(fix(), AllOf(HasSubstr("has lost its connection"), HasSubstr("axon checkout Cyton --wait")));
     station->entities_[2].orphaned = false;
     station->check_out_refusal.holder = station->self().name;
-    EXPECT_THAT(mend(), AllOf(HasSubstr("another command of yours"), Not(HasSubstr("ask "))));
+    EXPECT_THAT(fix(), AllOf(HasSubstr("another command of yours"), Not(HasSubstr("ask "))));
     station->my_role = Role::Observer;
-    EXPECT_THAT(mend(), HasSubstr("log in as an operator"));
+    EXPECT_THAT(fix(), HasSubstr("log in as an operator"));
 }
 
 TEST_F(Verbs, ADirectoryIsNoFileAndIsCalledADirectory) {
@@ -662,7 +662,7 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "wait", "ab"}), "abcdef00");
     EXPECT_EQ(offered({"axon", "cancel", "Cyton", ""}), "abcdef00");
     EXPECT_EQ(offered({"axon", "cancel", "PeopleBot#1", ""}), "");
-    EXPECT_EQ(offered({"axon", "tasks", "--f"}), "--for\n--follow");
+    EXPECT_EQ(offered({"axon", "tasks", "--f"}), "--follow\n--for");
     EXPECT_EQ(offered({"axon", "checkout", "--wait", "Cy"}), "Cyton") << "--wait takes no word of its own";
     EXPECT_EQ(offered({"axon", "checkout", "Cyton", "--hand-over", ""}), "ask\nyield\nrefuse");
     EXPECT_EQ(offered({"axon", "handover", "Cyton", ""}), "accept\nrefuse");
@@ -687,7 +687,7 @@ TEST_F(Verbs, DoctorDoesNotSayThatAllIsWellWhileEveryServiceIsSwitchedOff) {
                 said += event.value("level", "") + ": " + event.value("message", "") + '\n';
         return said;
     };
-    EXPECT_THAT(examine(), HasSubstr("ok: IDLE, tells its 1 service in"));
+    EXPECT_THAT(examine(), HasSubstr("ok: IDLE, lists its 1 service in"));
     station->services_[0].active = false;
     EXPECT_THAT(examine(), HasSubstr("all of them are switched off by the robot's application\n"));
     EXPECT_THAT(examine(), HasSubstr("warn: "));

@@ -55,7 +55,7 @@ int watch(Session& session) {
         if (end && std::chrono::steady_clock::now() >= *end) break;
     }
     if (session.mailbox->takeInterrupt()) return kInterrupted;
-    if (!any) session.events.emit({{"event", "notice"}, {"message", "nothing came from " + call}});
+    if (!any) session.events.emit({{"event", "notice"}, {"message", "nothing was received from " + call}});
     return kDone;
 }
 
@@ -63,15 +63,15 @@ int watch(Session& session) {
 
 extern const Verb kWatch{
     "watch",
-    "Show an entity's streams, and what it says to its holder",
+    "Show the streams of an entity, and its messages to the holder",
     "  axon watch PeopleBot                  all streams until Ctrl-C\n"
     "  axon watch PeopleBot pose --for 10\n"
     "  axon watch PeopleBot pose --json | jq -c .sample\n"
-    "Texts and raw data go to the holder only: they are shown when axon checkout holds it.\n",
+    "Texts and raw data go to the holder only: they are shown if axon checkout holds the entity.\n",
     Runs::Anywhere,
-    {{"entity", Takes::Entity, true, false, "Which entity"},
-     {"streams", Takes::Stream, false, true, "Names of streams; none = all"}},
-    {{"for", Takes::Duration, "End after so many seconds"}},
+    {{"entity", Takes::Entity, true, false, "The entity"},
+     {"streams", Takes::Stream, false, true, "Names of streams; without a name, all of them"}},
+    {{"for", Takes::Duration, "End after this long"}},
     watch};
 
 }  // namespace axon::cli
