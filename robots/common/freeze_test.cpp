@@ -18,7 +18,7 @@
 
 #include "common/descriptor.hpp"
 #include "lab/lab_server.hpp"
-#include "robots/peoplebot/settings.hpp"
+#include "robots/common/robot_settings.hpp"
 #include "tests/support/loopback.hpp"
 #include "tests/support/program.hpp"
 #include "tests/support/robot_manager.hpp"
@@ -196,8 +196,7 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
         rest = judge(before, after);
     }
 
-    const peoplebot::TemporaryFile ports_{
-        "Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
     std::unique_ptr<lab::LabServer> lab_;
     std::thread lab_thread_;
     std::unique_ptr<Truth> truth_;
