@@ -104,7 +104,7 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
     void SetUp() override {
         lab::WorldDescription world;
         world.robots = {{.name = "PeopleBot", .x = 1.5, .y = 3}};
-        world.arms = {{.name = "Cyton", .x = 1, .y = 5.4, .z = 0}};
+        world.devices = {{.kind = "cyton", .name = "Cyton", .x = 1, .y = 5.4, .z = 0}};
         lab_ = std::make_unique<lab::LabServer>(
             world, lab::LabServer::Options{
                        .listen = test::loopbackAddress(), .first_port = 0, .pty = GetParam().robot.serial});

@@ -16,7 +16,7 @@
 #include <map>
 #include <thread>
 
-#include "lab/ssc32_server.hpp"
+#include "lab/cyton/ssc32_server.hpp"
 #include "robots/ssc32/protocol.hpp"
 #include "tests/support/loopback.hpp"
 #include "tests/support/program.hpp"
