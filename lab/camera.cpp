@@ -333,17 +333,17 @@ class Cameras::Studio {
         const auto tracks =
             order.still ? std::span<const Track>(order.still->tracks) : std::span<const Track>();
         if (order.view < robots_) {
-            return renderer.draw(model_.get(), data_.get(), PhysicsView::cameraName(order.view), kWidth,
-                                 kHeight, 1, tracks);
+            return renderer.draw(model_.get(), data_.get(), view_.cameraName(order.view), kWidth, kHeight, 1,
+                                 tracks);
         }
         if (order.still) {
             // Made for each, because they are rare and their buffers take 40 MB.
             Renderer large(model_.get(), kStillWidth * kStillOversampling, kStillHeight * kStillOversampling);
-            return large.draw(model_.get(), data_.get(), PhysicsView::kOverview, kStillWidth, kStillHeight,
+            return large.draw(model_.get(), data_.get(), kOverview, kStillWidth, kStillHeight,
                               kStillOversampling, tracks);
         }
-        return renderer.draw(model_.get(), data_.get(), PhysicsView::kOverview, kOverviewWidth,
-                             kOverviewHeight, kOverviewOversampling, tracks);
+        return renderer.draw(model_.get(), data_.get(), kOverview, kOverviewWidth, kOverviewHeight,
+                             kOverviewOversampling, tracks);
     }
 
     // Constant after construction.

@@ -5,7 +5,6 @@
 
 #include <cmath>
 #include <nlohmann/json.hpp>
-#include <numbers>
 
 namespace axon::lab {
 namespace {
@@ -78,16 +77,12 @@ void setFault(Laboratory& laboratory, const WorldDescription& world, const Json&
     const double which = number(request, "which", 0);
     if (which < 0 || which > 100 || which != std::floor(which))
         throw BadRequest("\"which\": expected a whole number from 0");
-    if (const auto arm = indexOf(world.arms, name)) {
-        if (kind != "stuck-servo" && kind != "stuck-gripper")
-            throw BadRequest("\"kind\" of an arm: expected stuck-servo or stuck-gripper");
-        const auto servo = kind == "stuck-gripper" ? 7U : static_cast<std::size_t>(which);
-        if (servo >= cyton::kServos.size()) throw BadRequest("\"which\": expected a servo from 0 to 7");
-        laboratory.armController(*arm).setStuck(servo, broken);
+    if (const auto device = indexOf(world.devices, name)) {
+        laboratory.device(*device).setFault(kind, static_cast<std::size_t>(which), broken);
         return;
     }
     const auto robot = indexOf(world.robots, name);
-    if (!robot) throw BadRequest(fmt::format("no robot or arm is called \"{}\"", name));
+    if (!robot) throw BadRequest(fmt::format("no robot or device is called \"{}\"", name));
     Fault fault;
     fault.which = static_cast<int>(which);
     if (kind == "dead-sonar")
@@ -108,8 +103,8 @@ Json truthOf(const Laboratory& laboratory, const WorldDescription& world) {
     const auto& physics = laboratory.physics();
     Json truth{{"time_s", rounded(std::chrono::duration<double>(laboratory.age()).count(), 3)},
                {"robots", Json::array()},
-               {"arms", Json::array()},
                {"objects", Json::array()}};
+    for (const auto& kind : deviceKinds()) truth[kind.noun + "s"] = Json::array();
     for (std::size_t i = 0; i < world.robots.size(); ++i) {
         const auto t = physics.truth(i);
         truth["robots"].push_back({{"name", world.robots[i].name},
@@ -122,14 +117,18 @@ Json truthOf(const Laboratory& laboratory, const WorldDescription& world) {
                                    {"opening_mm", rounded(t.opening_mm, 2)},
                                    {"touched", t.touched}});
     }
-    for (std::size_t i = 0; i < world.arms.size(); ++i) {
-        const auto at = physics.truthOfArm(i);
-        Json joints = Json::array();
-        for (std::size_t k = 0; k < cyton::kJoints; ++k)
-            joints.push_back(rounded(at[k] * 180 / std::numbers::pi, 2));
-        truth["arms"].push_back({{"name", world.arms[i].name},
-                                 {"joints_deg", joints},
-                                 {"claw_mm", rounded(at[cyton::kJoints] * 1000, 2)}});
+    for (std::size_t i = 0; i < world.devices.size(); ++i) {
+        Json device{{"name", world.devices[i].name}};
+        for (const auto& measure : physics.device(i).truth()) {
+            if (const auto* number = std::get_if<double>(&measure.value)) {
+                device[measure.name] = rounded(*number, 2);
+                continue;
+            }
+            auto& list = device[measure.name] = Json::array();
+            for (const double number : std::get<std::vector<double>>(measure.value))
+                list.push_back(rounded(number, 2));
+        }
+        truth[deviceKind(world.devices[i].kind)->noun + "s"].push_back(std::move(device));
     }
     for (const auto& object : physics.truthOfObjects()) {
         truth["objects"].push_back({{"name", object.name},

@@ -11,8 +11,8 @@ namespace axon::lab {
 
 /// What an experimenter does with the laboratory, as a protocol: one JSON object a line, answered by one JSON
 /// object a line: {"ok":true, ...}, or {"ok":false,"error":"what was expected"}. For tests, judges and
-/// pictures, never for robot applications. Metres and degrees; "name" is a robot's, an arm's, an object's or
-/// an obstacle's.
+/// pictures, never for robot applications. Metres and degrees; "name" is a robot's, a device's, an object's
+/// or an obstacle's.
 ///
 /// | "do" | further members | |
 /// |---|---|---|

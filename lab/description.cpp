@@ -2,6 +2,7 @@
 #include "lab/description.hpp"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <charconv>
@@ -11,9 +12,9 @@
 #include <numbers>
 #include <set>
 #include <sstream>
+#include <utility>
 #include <variant>
 
-#include "lab/cyton_body.hpp"
 #include "lab/gripper_control.hpp"
 #include "lab/peoplebot_geometry.hpp"
 #include "robots/arcos/vcc4.hpp"
@@ -119,15 +120,19 @@ Fields fieldsOf(Object& o) {
 Fields fieldsOf(RobotPlacement& r) {
     return {{"name", &r.name}, {"x", &r.x}, {"y", &r.y}, {"theta", &r.theta}, {"port", Port{&r.port}}};
 }
-Fields fieldsOf(ArmPlacement& a) {
-    return {{"name", &a.name}, {"x", &a.x},         {"y", &a.y},
-            {"z", &a.z},       {"theta", &a.theta}, {"port", Port{&a.port}}};
+Fields fieldsOf(DevicePlacement& d) {
+    return {{"name", &d.name}, {"x", &d.x},         {"y", &d.y},
+            {"z", &d.z},       {"theta", &d.theta}, {"port", Port{&d.port}}};
 }
 
 template <class Item>
 Item parsed(std::string_view what, std::string_view text, char separator, Item item = {}) {
     parseFields(what, text, separator, fieldsOf(item));
     return item;
+}
+
+DevicePlacement usualPlacement(const DeviceKind& kind) {
+    return {.kind = kind.word, .name = kind.label};
 }
 
 RobotPlacement robotAt(std::size_t index) {
@@ -137,6 +142,17 @@ RobotPlacement robotAt(std::size_t index) {
     robot.x = 1.5;
     robot.y = 3 + (index % 2 == 0 ? step : -step);
     return robot;
+}
+
+std::set<std::string> withDeviceWords(std::set<std::string> words) {
+    for (const auto& kind : deviceKinds()) words.insert(kind.word);
+    return words;
+}
+
+const DeviceKind& kindOf(const DevicePlacement& device) {
+    if (const auto* kind = deviceKind(device.kind)) return *kind;
+    throw BadDescription(fmt::format("{} is of the kind \"{}\": expected one of {}", device.name, device.kind,
+                                     fmt::join(withDeviceWords({}), ", ")));
 }
 
 /// The smallest distance of a point from a turned rectangle.
@@ -217,7 +233,8 @@ std::string robotPartsXml(const std::string& r, double radius) {
     return xml;
 }
 
-std::string robotXml(std::size_t index, const RobotPlacement& robot) {
+/// Notes which geoms are its bumpers.
+std::string robotXml(std::size_t index, const RobotPlacement& robot, Scene& scene) {
     using namespace peoplebot;
     const double radius = metres(kWheelRadius_mm);
     const double bumper = metres(kHalfLength_mm - std::abs(kCentre_mm));  // from the axle to the front
@@ -249,6 +266,9 @@ std::string robotXml(std::size_t index, const RobotPlacement& robot) {
                 r, side == 0 ? "front" : "rear", segment + 1,
                 (side == 0 ? 0 : rear_centre) + (bumper - 0.007) * std::cos(a),
                 (bumper - 0.007) * std::sin(a), 0.1 - radius, angle, half_chord);
+            Scene::Owner owner{.kind = Scene::Owner::Kind::Robot, .index = index};
+            (side == 0 ? owner.front : owner.rear) = 1U << static_cast<unsigned>(segment);
+            scene.geoms[fmt::format("{}{}bumper{}", r, side == 0 ? "front" : "rear", segment + 1)] = owner;
         }
     }
     for (const char* side : {"left", "right"}) {
@@ -261,6 +281,16 @@ std::string robotXml(std::size_t index, const RobotPlacement& robot) {
             y, r, side, radius);
     }
     return xml + robotPartsXml(r, radius) + "</body>\n";
+}
+
+/// Its parts in the order in which Physics counts them.
+DeviceModel robotModel(std::size_t index) {
+    DeviceModel robot{.mjcf = {}, .root = fmt::format("r{}_base", index)};
+    for (const char* motor : peoplebot::kMotors) robot.joints.push_back(fmt::format("r{}_{}", index, motor));
+    robot.actuators = robot.joints;
+    for (const char* geom : peoplebot::kGeoms) robot.geoms.push_back(fmt::format("r{}_{}", index, geom));
+    robot.cameras = {fmt::format("r{}_camera", index)};
+    return robot;
 }
 
 std::string robotActuatorsXml(std::size_t index) {
@@ -319,8 +349,8 @@ Object parseObject(std::string_view text) {
 RobotPlacement parseRobot(std::string_view text, std::size_t index) {
     return parsed("--robot", text, ',', robotAt(index));
 }
-ArmPlacement parseArm(std::string_view text, std::size_t /*index*/) {
-    return parsed<ArmPlacement>("--arm", text, ',');
+DevicePlacement parseDevice(const DeviceKind& kind, std::string_view text) {
+    return parsed("--" + kind.noun, text, ',', usualPlacement(kind));
 }
 
 namespace {
@@ -388,11 +418,13 @@ void addItem(WorldDescription& world, std::string_view line, const ReadFile& rea
             robot.theta = home[2];
         }
         world.robots.push_back(parsed(kind, rest, ' ', std::move(robot)));
-    } else if (kind == "cyton") {
-        world.arms.push_back(parsed<ArmPlacement>(kind, rest, ' '));
+    } else if (const auto* device = deviceKind(kind)) {
+        world.devices.push_back(parsed(kind, rest, ' ', usualPlacement(*device)));
     } else {
         throw BadDescription(fmt::format(
-            "\"{}\": expected one of box, cyton, glass, map, object, peoplebot, room, table", kind));
+            "\"{}\": expected one of {}", kind,
+            fmt::join(withDeviceWords({"box", "glass", "map", "object", "peoplebot", "room", "table"}),
+                      ", ")));
     }
 }
 
@@ -481,8 +513,8 @@ void complete(WorldDescription& world) {
     for (auto& object : world.objects) {
         if (!object.z) object.z = surfaceAt(world, object.x, object.y);
     }
-    for (auto& arm : world.arms) {
-        if (!arm.z) arm.z = surfaceAt(world, arm.x, arm.y);
+    for (auto& device : world.devices) {
+        if (!device.z) device.z = surfaceAt(world, device.x, device.y);
     }
 }
 
@@ -528,12 +560,16 @@ void validate(const WorldDescription& world) {
         if (object.z && *object.z < 0)
             throw BadDescription(fmt::format("object {}: expected z of 0 or more", object.name));
     }
-    for (std::size_t i = 0; i < world.arms.size(); ++i) {
-        const auto& arm = world.arms[i];
-        requireInside(world, "arm " + arm.name, arm.x, arm.y);
+    for (std::size_t i = 0; i < world.devices.size(); ++i) {
+        const auto& device = world.devices[i];
+        const auto& kind = kindOf(device);
+        requireInside(world, kind.noun + " " + device.name, device.x, device.y);
         for (std::size_t k = 0; k < i; ++k) {
-            if (std::hypot(arm.x - world.arms[k].x, arm.y - world.arms[k].y) < 0.2)
-                throw BadDescription(fmt::format("arm {} stands in arm {}", arm.name, world.arms[k].name));
+            const auto& other = world.devices[k];
+            const auto& other_kind = kindOf(other);
+            if (std::hypot(device.x - other.x, device.y - other.y) < kind.radius_m + other_kind.radius_m)
+                throw BadDescription(fmt::format("{} {} stands in {} {}", kind.noun, device.name,
+                                                 other_kind.noun, other.name));
         }
     }
     const double swing = metres(peoplebot::kSwingRadius_mm);
@@ -568,7 +604,9 @@ void validate(const WorldDescription& world) {
     }
 }
 
-std::string mjcf(const WorldDescription& described) {
+Scene sceneOf(const WorldDescription& described) {
+    using Owner = Scene::Owner;
+    Scene scene;
     constexpr double kWall = 0.1;
     constexpr double kThinWall = 0.02;  // of a map's lines, which have no thickness, to both sides
     constexpr double kWallHeight = 2;
@@ -578,7 +616,8 @@ std::string mjcf(const WorldDescription& described) {
     const double h = world.room_y;
     const double left = world.room_left;
     const double bottom = world.room_bottom;
-    std::string xml = R"(<mujoco model="axon-lab">
+    auto& xml = scene.xml;
+    xml = R"(<mujoco model="axon-lab">
 <compiler angle="degree" eulerseq="xyz"/>
 <option timestep="0.004"><flag multiccd="enable"/></option>
 <size nconmax="300" njmax="1200"/>
@@ -604,21 +643,30 @@ std::string mjcf(const WorldDescription& described) {
 )";
     // From the front and above, the whole room in view.
     const double far = 1.05 * std::max(w, 1.33 * h) + 1;
-    xml +=
-        fmt::format("<camera name=\"overview\" pos=\"{} {} {}\" xyaxes=\"1 0 0 0 0.82 0.57\" fovy=\"45\"/>\n",
-                    left + w / 2, bottom + h / 2 - 0.57 * far, 0.82 * far);
+    xml += fmt::format("<camera name=\"{}\" pos=\"{} {} {}\" xyaxes=\"1 0 0 0 0.82 0.57\" fovy=\"45\"/>\n",
+                       kOverview, left + w / 2, bottom + h / 2 - 0.57 * far, 0.82 * far);
     constexpr auto kWood = "0.62 0.55 0.47 1";
-    const auto block = [&xml](const std::string& name, double x, double y, double z, double hx, double hy,
-                              double hz, double theta, std::string_view colour, int group = 0) {
+    scene.geoms["floor"] = {.kind = Owner::Kind::Floor};
+    /// Says what this is called in ground truth: what is made of several blocks is there once.
+    const auto standing = [&scene](const std::string& called) {
+        scene.fixed.push_back(called);
+        return Owner{.kind = Owner::Kind::Fixed, .index = scene.fixed.size() - 1};
+    };
+    const auto block = [&](const Owner& owner, const std::string& name, double x, double y, double z,
+                           double hx, double hy, double hz, double theta, std::string_view colour,
+                           int group = 0) {
         xml += fmt::format(
             R"(<geom name="{}" class="obstacle" group="{}" pos="{} {} {}" size="{} {} {}" euler="0 0 {}"{}/>)"
             "\n",
             name, group, x, y, z, hx, hy, hz, theta,
             colour.empty() ? "" : fmt::format(" rgba=\"{}\"", colour));
+        scene.geoms[name] = owner;
     };
+    const auto walls = standing("wall");
     int number = 0;
     const auto wall = [&](double x, double y, double hx, double hy, double theta) {
-        block(fmt::format("wall:{}", number++), x, y, kWallHeight / 2, hx, hy, kWallHeight / 2, theta, "");
+        block(walls, fmt::format("wall:{}", number++), x, y, kWallHeight / 2, hx, hy, kWallHeight / 2, theta,
+              "");
     };
     if (world.room_walls) {
         wall(left + w / 2, bottom - kWall, w / 2 + kWall, kWall, 0);
@@ -634,24 +682,25 @@ std::string mjcf(const WorldDescription& described) {
     }
     for (std::size_t i = 0; i < world.boxes.size(); ++i) {
         const auto& box = world.boxes[i];
-        block(fmt::format("box{}:", i), box.x, box.y, box.z + box.height / 2, box.dx / 2, box.dy / 2,
-              box.height / 2, box.theta, box.glass ? "0.6 0.8 0.85 0.3" : "0.7 0.7 0.66 1",
+        block(standing(box.name), fmt::format("box{}:", i), box.x, box.y, box.z + box.height / 2, box.dx / 2,
+              box.dy / 2, box.height / 2, box.theta, box.glass ? "0.6 0.8 0.85 0.3" : "0.7 0.7 0.66 1",
               box.glass ? 5 : 0);
     }
     for (std::size_t i = 0; i < world.tables.size(); ++i) {
         const auto& t = world.tables[i];
         constexpr double kTop = 0.015;
         constexpr double kLeg = 0.025;
-        block(fmt::format("table{}:top", i), t.x, t.y, t.height - kTop, t.dx / 2, t.dy / 2, kTop, t.theta,
-              kWood);
+        const auto table = standing(t.name);
+        block(table, fmt::format("table{}:top", i), t.x, t.y, t.height - kTop, t.dx / 2, t.dy / 2, kTop,
+              t.theta, kWood);
         const double a = t.theta * kDegree;
         for (const int sx : {-1, 1}) {
             for (const int sy : {-1, 1}) {
                 const double u = sx * (t.dx / 2 - kLeg);
                 const double v = sy * (t.dy / 2 - kLeg);
-                block(fmt::format("table{}:leg{}{}", i, sx, sy), t.x + std::cos(a) * u - std::sin(a) * v,
-                      t.y + std::sin(a) * u + std::cos(a) * v, t.height / 2 - kTop, kLeg, kLeg,
-                      t.height / 2 - kTop, t.theta, kWood);
+                block(table, fmt::format("table{}:leg{}{}", i, sx, sy),
+                      t.x + std::cos(a) * u - std::sin(a) * v, t.y + std::sin(a) * u + std::cos(a) * v,
+                      t.height / 2 - kTop, kLeg, kLeg, t.height / 2 - kTop, t.theta, kWood);
             }
         }
     }
@@ -660,6 +709,9 @@ std::string mjcf(const WorldDescription& described) {
             R"(<body name="obstacle{0}" mocap="true" pos="{0} 0 -5"><geom name="obstacle{0}:" class="obstacle" size="0.2 0.2 0.3" rgba="0.6 0.6 0.64 1"/></body>)"
             "\n",
             i);
+        scene.obstacles.emplace_back(fmt::format("obstacle{}", i), fmt::format("obstacle{}:", i));
+        scene.bodies[scene.obstacles.back().first] = {.kind = Owner::Kind::Obstacle,
+                                                      .index = static_cast<std::size_t>(i)};
     }
     for (std::size_t i = 0; i < world.objects.size(); ++i) {
         const auto& o = world.objects[i];
@@ -672,8 +724,14 @@ std::string mjcf(const WorldDescription& described) {
             cylinder ? fmt::format("{} {}", o.dx / 2, o.dz / 2)
                      : fmt::format("{} {} {}", o.dx / 2, o.dy / 2, o.dz / 2),
             o.mass, colour[0], colour[1], colour[2]);
+        scene.objects.push_back(fmt::format("object{}", i));
+        scene.bodies[scene.objects.back()] = {.kind = Owner::Kind::Object, .index = i};
     }
-    for (std::size_t i = 0; i < world.robots.size(); ++i) xml += robotXml(i, world.robots[i]);
+    for (std::size_t i = 0; i < world.robots.size(); ++i) {
+        xml += robotXml(i, world.robots[i], scene);
+        scene.robots.push_back(robotModel(i));
+        scene.bodies[scene.robots.back().root] = {.kind = Owner::Kind::Robot, .index = i};
+    }
     xml += "</worldbody>\n<actuator>\n";
     for (std::size_t i = 0; i < world.robots.size(); ++i) xml += robotActuatorsXml(i);
     xml += "</actuator>\n<contact>\n";
@@ -683,11 +741,15 @@ std::string mjcf(const WorldDescription& described) {
             xml += fmt::format("<exclude body1=\"r{0}_base\" body2=\"r{0}_{1}\"/>\n", i, part);
     }
     xml += "</contact>\n";
-    for (std::size_t i = 0; i < world.arms.size(); ++i) {
-        const auto& arm = world.arms[i];
-        xml += cytonMjcf(fmt::format("c{}_", i), arm.x, arm.y, *arm.z, arm.theta);
+    for (std::size_t i = 0; i < world.devices.size(); ++i) {
+        const auto& device = world.devices[i];
+        auto model = kindOf(device).model(fmt::format("d{}_", i), device);
+        xml += std::exchange(model.mjcf, {});
+        scene.bodies[model.root] = {.kind = Owner::Kind::Device, .index = i};
+        scene.devices.push_back(std::move(model));
     }
-    return xml + "</mujoco>\n";
+    xml += "</mujoco>\n";
+    return scene;
 }
 
 }  // namespace axon::lab

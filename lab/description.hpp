@@ -2,17 +2,20 @@
 #pragma once
 #include <array>
 #include <functional>
+#include <map>
 #include <optional>
 #include <stdexcept>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "lab/device.hpp"
+
 namespace axon::lab {
 
 /// A world in the terms of its user: metres and degrees, the room's corner at the origin, x to the right, y
-/// up, z above the floor. Plain values; mjcf() below turns them into a model. What has a name is called by it
-/// in ground truth and by whoever moves it; names of tables, boxes and objects are unique in a world.
+/// up, z above the floor. Plain values; sceneOf() below turns them into a model. What has a name is called by
+/// it in ground truth and by whoever moves it; names of tables, boxes and objects are unique in a world.
 struct Box {
     std::string name{};   ///< empty: box, box2 ...
     double x = 0, y = 0;  ///< centre
@@ -49,15 +52,6 @@ struct RobotPlacement {
     std::optional<int> port;  ///< 0: one that is free; none: the next after the robot's before it
 };
 
-struct ArmPlacement {
-    std::string name = "Cyton";
-    double x = 0, y = 0;
-    std::optional<double>
-        z;  ///< of what it is screwed to; none: the table or box that is there, else the floor
-    double theta = 0;
-    std::optional<int> port;
-};
-
 struct Wall {
     double x1 = 0, y1 = 0, x2 = 0, y2 = 0;
 };
@@ -72,7 +66,7 @@ struct WorldDescription {
     std::vector<Table> tables;
     std::vector<Object> objects;
     std::vector<RobotPlacement> robots;
-    std::vector<ArmPlacement> arms;
+    std::vector<DevicePlacement> devices;
 };
 
 /// What a user got wrong in describing a world; the message says what was expected.
@@ -88,7 +82,7 @@ WorldDescription defaultWorld();
 Box parseBox(std::string_view text);
 Table parseTable(std::string_view text);
 Object parseObject(std::string_view text);
-ArmPlacement parseArm(std::string_view text, std::size_t index);
+DevicePlacement parseDevice(const DeviceKind& kind, std::string_view text);
 /// Places that are not given follow from how many robots there are already.
 RobotPlacement parseRobot(std::string_view text, std::size_t index);
 
@@ -103,7 +97,7 @@ RobotPlacement parseRobot(std::string_view text, std::size_t index);
 ///     glass x=4 y=2 dx=1.5 theta=90    a pane: 20 mm thick and 2 m high where dy and height are not given
 ///     object name=red colour=red shape=box x=0.6 y=3.3 dx=0.028 dy=0.028 dz=0.08 mass=0.06
 ///     peoplebot name=PeopleBot x=2 y=3 theta=180 port=8101
-///     cyton name=Cyton x=0.7 y=3 theta=0 port=8201
+///     cyton name=Cyton x=0.7 y=3 theta=0 port=8201       and likewise every other DeviceKind
 /// Validated. Throws BadDescription with the file's name and the line. `read` gives the contents of a file
 /// that the world names.
 using ReadFile = std::function<std::string(const std::string& file)>;
@@ -122,14 +116,37 @@ void validate(const WorldDescription& world);
 /// The colours that objects can have, as red, green and blue from 0 to 1; nothing for others.
 std::optional<std::array<double, 3>> colourNamed(std::string_view name);
 
-/// The world, completed, as MuJoCo's XML. Bodies, joints and geoms of robot k have names that begin with
-/// "r<k>_", of arm k with "c<k>_"; objects are bodies "object<k>", tables, boxes and walls geoms
-/// "table<k>:<n>", "box<k>:", "wall:<n>", and kObstacles spare boxes under the floor are mocap bodies
-/// "obstacle<k>". physics.cpp finds them by these names. Cameras: "r<k>_camera" and "overview". Geometry
-/// groups say who sees what: 0 obstacles, 1 robot hulls and arms and 2 objects are seen by range sensors, 3
-/// is the floor and 4 wheels, casters, grippers and camera heads, which are not; 5 is glass, which the laser
-/// does not see. Who renders must switch all groups on.
+/// A world as a model, and what its parts are.
+struct Scene {
+    /// What a part of the model belongs to.
+    struct Owner {
+        enum class Kind { Floor, Fixed, Obstacle, Object, Robot, Device };
+        Kind kind = Kind::Floor;
+        std::size_t index = 0;  ///< in the world's description; of what stands fast in `fixed`
+        unsigned front = 0;     ///< of a robot: its bumper segments, bit 0 is segment 1
+        unsigned rear = 0;
+    };
+
+    std::string xml;  ///< MuJoCo's
+    /// By the name of the geom: all that belong to no body, and the bumpers.
+    std::map<std::string, Owner> geoms;
+    /// By the name of the body that stands in the world: it and all that is below it. Everything that moves
+    /// is in one of them.
+    std::map<std::string, Owner> bodies;
+    std::vector<std::string> fixed;    ///< names of walls, tables and boxes as ground truth tells them
+    std::vector<DeviceModel> robots;   ///< PeopleBots, in the order of peoplebot::kMotors and so on
+    std::vector<DeviceModel> devices;  ///< as their kinds describe them, without the MJCF
+    std::vector<std::string> objects;  ///< bodies
+    /// kObstacles spare boxes under the floor, each a mocap body and a geom.
+    std::vector<std::pair<std::string, std::string>> obstacles;
+};
+
+/// The world, completed, as a model. Geometry groups say who sees what: 0 obstacles, 1 robot hulls and
+/// devices and 2 objects are seen by range sensors, 3 is the floor and 4 wheels, casters, grippers and camera
+/// heads, which are not; 5 is glass, which the laser does not see. Who renders must switch all groups on.
+/// Besides the robots' cameras there is kOverview, which sees the whole room.
 inline constexpr int kObstacles = 6;
-std::string mjcf(const WorldDescription& world);
+inline constexpr const char* kOverview = "overview";
+Scene sceneOf(const WorldDescription& world);
 
 }  // namespace axon::lab

@@ -73,6 +73,24 @@ std::string complaintOf(std::string_view text) {
     return complaint([&] { parse(text); });
 }
 
+TEST(World, ADeviceOfAKindThatThereIsNotIsRefused) {
+    auto world = defaultWorld();
+    world.devices = {{.kind = "loom", .name = "Loom", .x = 3, .y = 3}};
+    EXPECT_THAT(complaint([&] { validate(world); }), ::testing::HasSubstr("kind \"loom\""));
+}
+
+TEST(World, EveryDeviceHasNamesOfItsOwnInTheModel) {
+    auto world = defaultWorld();
+    world.devices = {{.kind = "cyton", .name = "A", .x = 2, .y = 2},
+                     {.kind = "cyton", .name = "B", .x = 3, .y = 2}};
+    const auto scene = sceneOf(world);
+    ASSERT_EQ(scene.devices.size(), 2U);
+    EXPECT_NE(scene.devices[0].root, scene.devices[1].root);
+    EXPECT_EQ(scene.bodies.at(scene.devices[1].root).index, 1U);
+    for (const auto& joint : scene.devices[1].joints)
+        EXPECT_THAT(scene.xml, ::testing::HasSubstr('"' + joint + '"'));
+}
+
 TEST(WorldFile, EveryKindOfItemIsReadAndTheRestHasDefaults) {
     const auto world = parse(R"(# a laboratory
 room x=8 y=6
@@ -87,9 +105,10 @@ peoplebot name=Right x=3 y=5
     EXPECT_EQ(world.room_x, 8);
     ASSERT_EQ(world.tables.size(), 1U);
     EXPECT_EQ(world.tables[0].name, "west");
-    ASSERT_EQ(world.arms.size(), 1U);
-    EXPECT_EQ(world.arms[0].z, 0.66) << "on the table";
-    EXPECT_EQ(world.arms[0].port, 8205);
+    ASSERT_EQ(world.devices.size(), 1U);
+    EXPECT_EQ(world.devices[0].kind, "cyton");
+    EXPECT_EQ(world.devices[0].z, 0.66) << "on the table";
+    EXPECT_EQ(world.devices[0].port, 8205);
     ASSERT_EQ(world.objects.size(), 2U);
     EXPECT_NEAR(*world.objects[0].z, 0.76, 1e-9) << "on the platform on the table";
     EXPECT_EQ(world.objects[0].colour, "red");

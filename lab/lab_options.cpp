@@ -17,8 +17,8 @@ Places are in metres and degrees; the origin is the room's lower left corner. Ke
   axon-lab --robot x=2,y=3,theta=90,port=9000       where it stands, and its port
   axon-lab --empty --box x=4,y=3,dx=0.5,dy=1,height=0.6 --table x=6,y=2
   axon-lab --robot x=2,y=3 --arm x=1,y=5,z=0.74
-Robots are reached like real ones: a PeopleBot over ARCOS, a Cyton over SSC-32, one client at a time.
-Ports: PeopleBots {robot} and up, Cytons {arm}, cameras {camera} (HTTP), colour blobs {acts} (ACTS), lasers with --laser {laser},
+Robots are reached like real ones: a PeopleBot over ARCOS, {reached}, one client at a time.
+Ports: PeopleBots {robot} and up, {devices}, cameras {camera} (HTTP), colour blobs {acts} (ACTS), lasers with --laser {laser},
 control {control}, --view {view};
 with a --port of your own, the others are free ports. When all of them listen, one line says where:
   ready PeopleBot=127.0.0.1:{robot} PeopleBot.camera=127.0.0.1:{camera} ... control=127.0.0.1:{control}
@@ -28,11 +28,19 @@ Ends on Ctrl-C. Exit status: 0 ended on request; 2 the options are wrong.)";
 
 void addOptions(CLI::App& app, LabOptions& options) {
     using Server = LabServer;
-    app.footer(fmt::format(
-        kFooter, fmt::arg("robot", Server::kFirstPort), fmt::arg("next_robot", Server::kFirstPort + 1),
-        fmt::arg("arm", Server::kFirstArmPort), fmt::arg("camera", Server::kFirstCameraPort),
-        fmt::arg("acts", Server::kFirstActsPort), fmt::arg("laser", Server::kFirstLaserPort),
-        fmt::arg("control", Server::kControlPort), fmt::arg("view", Server::kOverviewPort)));
+    std::string reached;
+    std::string devices;
+    for (const auto& kind : deviceKinds()) {
+        const auto* const comma = reached.empty() ? "" : ", ";
+        reached += fmt::format("{}a {} over {}", comma, kind.label, kind.protocol);
+        devices += fmt::format("{}{}s {}", comma, kind.label, kind.first_port);
+    }
+    app.footer(
+        fmt::format(kFooter, fmt::arg("robot", Server::kFirstPort),
+                    fmt::arg("next_robot", Server::kFirstPort + 1), fmt::arg("reached", reached),
+                    fmt::arg("devices", devices), fmt::arg("camera", Server::kFirstCameraPort),
+                    fmt::arg("acts", Server::kFirstActsPort), fmt::arg("laser", Server::kFirstLaserPort),
+                    fmt::arg("control", Server::kControlPort), fmt::arg("view", Server::kOverviewPort)));
     auto* file_option =
         app.add_option("file", options.file, "File that describes a world (.lab)")->check(CLI::ExistingFile);
     app.add_option("--world", options.world, "World that comes with the program, or plain")
@@ -40,7 +48,15 @@ void addOptions(CLI::App& app, LabOptions& options) {
         ->excludes(file_option);
     app.add_option("--robot", options.robots, "A PeopleBot: name=,x=,y=,theta=,port= (repeat for several)")
         ->allow_extra_args(false);
-    app.add_option("--arm", options.arms, "A Cyton: name=,x=,y=,z=,theta=,port=")->allow_extra_args(false);
+    for (const auto& kind : deviceKinds()) {
+        app.add_option_function<std::vector<std::string>>(
+               "--" + kind.noun,
+               [&options, word = kind.word](const std::vector<std::string>& texts) {
+                   for (const auto& text : texts) options.devices.emplace_back(word, text);
+               },
+               fmt::format("A {}: name=,x=,y=,z=,theta=,port=", kind.label))
+            ->allow_extra_args(false);
+    }
     app.add_option("--box", options.boxes, "A box: name=,x=,y=,z=,dx=,dy=,height=,theta=")
         ->allow_extra_args(false);
     app.add_option("--table", options.tables, "A table: name=,x=,y=,dx=,dy=,height=,theta=")

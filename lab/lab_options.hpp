@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "lab/lab_server.hpp"
@@ -16,8 +17,10 @@ struct LabOptions {
     LabServer::Options server{.noise = 1};
     std::string file;                 ///< a world's description; empty: `world` is meant
     std::string world = "transport";  ///< one that comes with the program, or "plain"
-    std::vector<std::string> robots, arms, boxes, tables,
-        objects;                    ///< as parseRobot() and the others read them
+    std::vector<std::string> robots, boxes, tables,
+        objects;  ///< as parseRobot() and the others read them
+    /// DeviceKind::word, and what parseDevice() reads.
+    std::vector<std::pair<std::string, std::string>> devices;
     bool empty = false;             ///< without what stands in the room
     double room_x = 0, room_y = 0;  ///< m; 0: as the world has them
 

@@ -44,13 +44,21 @@ TEST_F(LabOptionsTest, ToGiveWhatTheHelpShowsAsTheDefaultChangesNothing) {
                 ::testing::IsSupersetOf({"--world", "--listen", "--port", "--speed", "--seed", "--noise"}));
 }
 
+TEST_F(LabOptionsTest, DevicesOfAllKindsAreKeptInTheirOrder) {
+    const auto options = parsed({"--arm", "x=1", "--robot", "x=2", "--arm", "x=3"});
+    EXPECT_THAT(options.devices,
+                ::testing::ElementsAre(::testing::Pair("cyton", "x=1"), ::testing::Pair("cyton", "x=3")));
+    EXPECT_THAT(options.robots, ::testing::ElementsAre("x=2"));
+}
+
 TEST_F(LabOptionsTest, TheHelpNamesEveryKeyOfAThing) {
-    const std::vector<std::pair<std::string, std::function<void()>>> things{
+    std::vector<std::pair<std::string, std::function<void()>>> things{
         {"--robot", [] { parseRobot("?=1", 0); }},
-        {"--arm", [] { parseArm("?=1", 0); }},
         {"--box", [] { parseBox("?=1"); }},
         {"--table", [] { parseTable("?=1"); }},
         {"--object", [] { parseObject("?=1"); }}};
+    for (const auto& kind : deviceKinds())
+        things.emplace_back("--" + kind.noun, [&kind] { parseDevice(kind, "?=1"); });
     for (const auto& [option, refused] : things) {
         std::string known;
         try {
@@ -74,8 +82,10 @@ TEST_F(LabOptionsTest, HelpAndReadmeTellThePortsAndTheWorldThatThereAre) {
     text << std::ifstream("lab/README.md").rdbuf();
     const auto readme = text.str();
     using Server = LabServer;
-    for (const int port : {Server::kFirstPort, Server::kFirstArmPort, Server::kFirstCameraPort,
-                           Server::kFirstActsPort, Server::kFirstLaserPort}) {
+    std::vector ports{Server::kFirstPort, Server::kFirstCameraPort, Server::kFirstActsPort,
+                      Server::kFirstLaserPort};
+    for (const auto& kind : deviceKinds()) ports.push_back(kind.first_port);
+    for (const int port : ports) {
         EXPECT_THAT(help, HasSubstr(std::to_string(port)));
         EXPECT_THAT(readme, HasSubstr(fmt::format("| {} and up", port)));
     }

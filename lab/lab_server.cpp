@@ -3,6 +3,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
@@ -14,7 +15,7 @@
 #include <cstdio>
 #include <future>
 #include <list>
-#include <numbers>
+#include <map>
 #include <stdexcept>
 
 #include "lab/camera.hpp"
@@ -93,9 +94,12 @@ class LabServer::Loop final : Control::Operator {
             pictures.acts.push_back(port(kFirstActsPort, i));
             tracks_[i].colour = kTrackColours[i % kTrackColours.size()];
         }
-        for (std::size_t i = 0; i < world_.arms.size(); ++i) {
-            arms_.push_back({.kind = Link::Kind::Arm, .index = i});
-            openLink(arms_.back(), world_.arms[i].port.value_or(port(kFirstArmPort, i)));
+        std::map<std::string, std::size_t> of_its_kind;
+        for (std::size_t i = 0; i < world_.devices.size(); ++i) {
+            const auto& device = world_.devices[i];
+            devices_.push_back({.kind = Link::Kind::Device, .index = i});
+            openLink(devices_.back(), device.port.value_or(port(deviceKind(device.kind)->first_port,
+                                                                of_its_kind[device.kind]++)));
         }
         for (std::size_t i = 0; options_.lasers && i < world_.robots.size(); ++i) {
             lasers_.push_back({.kind = Link::Kind::Laser, .index = i});
@@ -105,7 +109,7 @@ class LabServer::Loop final : Control::Operator {
         if (options_.overview) pictures.overview = port(kOverviewPort, 0);
         picture_server_.emplace(options_.listen, pictures);
         told_objects_.resize(world_.objects.size());
-        told_arms_.resize(world_.arms.size());
+        told_devices_.resize(world_.devices.size());
     }
     ~Loop() override {
         if (picture_server_) picture_server_->stop();
@@ -136,7 +140,7 @@ class LabServer::Loop final : Control::Operator {
             add(name + ".camera", pictures.cameras[i]);
             add(name + ".acts", pictures.acts[i]);
         }
-        for (std::size_t i = 0; i < arms_.size(); ++i) addLink(world_.arms[i].name, arms_[i]);
+        for (std::size_t i = 0; i < devices_.size(); ++i) addLink(world_.devices[i].name, devices_[i]);
         add("control", portOf(control_listener_));
         if (pictures.overview) add("overview", *pictures.overview);
         return result;
@@ -188,7 +192,7 @@ class LabServer::Loop final : Control::Operator {
 
   private:
     struct Link {
-        enum class Kind { Robot, Arm, Laser };
+        enum class Kind { Robot, Device, Laser };
         Kind kind = Kind::Robot;
         std::size_t index = 0;
         Descriptor listener{};
@@ -284,7 +288,7 @@ class LabServer::Loop final : Control::Operator {
         const auto add = [this](int fd, short events = POLLIN) {
             watched_.push_back({fd, events, 0});  // a negative descriptor is passed over
         };
-        for (auto* links : {&robots_, &arms_, &lasers_}) {
+        for (auto* links : {&robots_, &devices_, &lasers_}) {
             for (const auto& link : *links) add(link.listener.get()), add(link.fd());
         }
         add(control_listener_.get());
@@ -294,7 +298,7 @@ class LabServer::Loop final : Control::Operator {
 
     void serveClients() {
         std::size_t at = 1;
-        for (auto* links : {&robots_, &arms_, &lasers_}) {
+        for (auto* links : {&robots_, &devices_, &lasers_}) {
             for (auto& link : *links) {
                 const auto knocked = watched_[at++].revents;
                 const auto spoke = watched_[at++].revents;
@@ -324,7 +328,7 @@ class LabServer::Loop final : Control::Operator {
         if (!client || link.client) return;  // busy: closing the connection is the refusal
         link.client = std::move(client);
         link.broken = false;
-        if (link.kind == Link::Kind::Arm) lab_.armClientConnected(link.index);
+        if (link.kind == Link::Kind::Device) lab_.device(link.index).clientConnected();
         if (link.kind == Link::Kind::Robot) lab_.clientConnected(link.index);
     }
 
@@ -342,8 +346,8 @@ class LabServer::Loop final : Control::Operator {
             const bool noise = garbled(link);
             if (noise) garble(bytes);
             switch (link.kind) {
-                case Link::Kind::Arm:
-                    send(link, lab_.receiveArm(link.index, bytes));
+                case Link::Kind::Device:
+                    send(link, lab_.device(link.index).receive(bytes));
                     break;
                 case Link::Kind::Laser:
                     // As it was before the laser changed its speed.
@@ -360,15 +364,15 @@ class LabServer::Loop final : Control::Operator {
         return got > 0;
     }
 
-    /// The speed of the device's end of a serial line; 0 where any will do: an arm's is set by jumpers.
+    /// The speed of the device's end of a serial line; 0 where any will do.
     int speedOfDevice(const Link& link) const {
         switch (link.kind) {
             case Link::Kind::Robot:
                 return lab_.controller(link.index).baud();
             case Link::Kind::Laser:
                 return lab_.laser(link.index).baud();
-            case Link::Kind::Arm:
-                break;
+            case Link::Kind::Device:
+                return lab_.device(link.index).baud();
         }
         return 0;
     }
@@ -401,6 +405,7 @@ class LabServer::Loop final : Control::Operator {
         if (!link.client) return;
         link.client.reset();
         if (link.kind == Link::Kind::Robot) lab_.clientLost(link.index);
+        if (link.kind == Link::Kind::Device) lab_.device(link.index).clientLost();
     }
 
     void read(ControlClient& client) {
@@ -518,15 +523,17 @@ class LabServer::Loop final : Control::Operator {
                 "\n",
                 stamp, o.name, o.x_m, o.y_m, o.z_m, o.theta_deg, o.tilt_deg);
         }
-        for (std::size_t i = 0; i < told_arms_.size(); ++i) {
-            const auto at = lab_.physics().truthOfArm(i);
-            if (!moved(told_arms_[i], at, 0.002)) continue;
-            std::string joints;
-            for (std::size_t k = 0; k < cyton::kJoints; ++k)
-                joints += fmt::format("{}{:.2f}", k == 0 ? "" : ",", at[k] * 180 / std::numbers::pi);
-            lines += fmt::format(R"({},"arm":"{}","joints_deg":[{}],"claw_mm":{:.2f}}})"
-                                 "\n",
-                                 stamp, world_.arms[i].name, joints, at[cyton::kJoints] * 1000);
+        for (std::size_t i = 0; i < told_devices_.size(); ++i) {
+            const auto truth = lab_.device(i).truth();
+            if (!moved(told_devices_[i], truth)) continue;
+            const auto& device = world_.devices[i];
+            lines += fmt::format(R"({},"{}":"{}")", stamp, deviceKind(device.kind)->noun, device.name);
+            for (const auto& measure : truth) {
+                const bool list = measure.value.index() == 1;
+                lines += fmt::format(R"(,"{}":{}{:.2f}{})", measure.name, list ? "[" : "",
+                                     fmt::join(numbersOf(measure), ","), list ? "]" : "");
+            }
+            lines += "}\n";
         }
         // Robots last: whoever wants a robot's newest place reads the end of the file.
         for (std::size_t i = 0; i < world_.robots.size(); ++i) {
@@ -551,6 +558,22 @@ class LabServer::Loop final : Control::Operator {
         return far;
     }
 
+    static std::vector<double> numbersOf(const Measure& measure) {
+        if (const auto* number = std::get_if<double>(&measure.value)) return {*number};
+        return std::get<std::vector<double>>(measure.value);
+    }
+    static bool moved(std::optional<std::vector<Measure>>& told, const std::vector<Measure>& now) {
+        bool far = !told;
+        for (std::size_t i = 0; i < now.size() && !far; ++i) {
+            const auto before = numbersOf((*told)[i]);
+            const auto after = numbersOf(now[i]);
+            for (std::size_t k = 0; k < after.size(); ++k)
+                far = far || std::abs(after[k] - before[k]) > now[i].least_move;
+        }
+        if (far) told = now;
+        return far;
+    }
+
     const Options options_;
     const WorldDescription world_;
     const SteadyClock clock_;
@@ -558,7 +581,7 @@ class LabServer::Loop final : Control::Operator {
     Laboratory lab_;
     Control control_{lab_, world_, *this};
     std::vector<Link> robots_;
-    std::vector<Link> arms_;
+    std::vector<Link> devices_;
     std::vector<Link> lasers_;
     Descriptor control_listener_;
     std::list<ControlClient> control_clients_;
@@ -576,7 +599,7 @@ class LabServer::Loop final : Control::Operator {
     Descriptor truth_;
     Duration next_truth_{};
     std::vector<std::optional<std::array<double, 4>>> told_objects_;
-    std::vector<std::optional<CytonBody::Positions>> told_arms_;
+    std::vector<std::optional<std::vector<Measure>>> told_devices_;
     std::optional<ClockFile> clock_file_;
     std::vector<Track> tracks_;
 

@@ -207,7 +207,8 @@ class WholeLab : public LabServerTest {
         world.tables = {{.name = "west", .x = 6, .y = 3, .dx = 0.8, .dy = 1.2, .height = 0.66}};
         world.objects = {{.name = "red", .colour = "red", .x = 6, .y = 3.2}};
         world.robots = {{.name = "Robot", .x = 2, .y = 3, .theta = 0, .port = {}}};
-        world.arms = {{.name = "Arm", .x = 6, .y = 2.8, .z = {}, .theta = 90, .port = {}}};
+        world.devices = {
+            {.kind = "cyton", .name = "Arm", .x = 6, .y = 2.8, .z = {}, .theta = 90, .port = {}}};
         options.listen = test::loopbackAddress();
         options.first_port = 0;
         server_ = std::make_unique<LabServer>(world, options);

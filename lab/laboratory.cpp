@@ -28,7 +28,6 @@ Laboratory::Laboratory(const WorldDescription& world, Send send, const Options& 
     for (std::size_t i = 0; i < world.robots.size(); ++i) {
         controllers_.push_back(std::make_unique<Controller>(i, world.robots[i].name, send, lasers));
     }
-    for (std::size_t i = 0; i < world.arms.size(); ++i) arms_.push_back(std::make_unique<Ssc32Server>());
 }
 Laboratory::~Laboratory() = default;
 
@@ -47,24 +46,12 @@ void Laboratory::step() {
         physics_.setCamera(robot, arcos.camera());
         physics_.setLaser(robot, controller->laser ? controller->laser->scanning() : arcos.laser());
     }
-    for (std::size_t i = 0; i < arms_.size(); ++i) {
-        arms_[i]->step(Physics::kPeriod);
-        physics_.setArm(i, arms_[i]->targets());
-    }
     physics_.step();
 }
 
 void Laboratory::reset() {
     physics_.reset();
     for (const auto& controller : controllers_) controller->arcos.encodersJumped();
-    for (auto& arm : arms_) *arm = Ssc32Server();
-}
-
-void Laboratory::armClientConnected(std::size_t arm) {
-    arms_.at(arm)->clientConnected();
-}
-std::vector<std::uint8_t> Laboratory::receiveArm(std::size_t arm, std::span<const std::uint8_t> bytes) {
-    return arms_.at(arm)->receive(bytes);
 }
 
 void Laboratory::clientConnected(std::size_t robot) {

@@ -6,14 +6,13 @@
 
 #include "lab/lms_server.hpp"
 #include "lab/physics.hpp"
-#include "lab/ssc32_server.hpp"
 
 namespace axon::lab {
 
-/// A whole virtual laboratory without sockets and clocks: the physics, and for each robot and arm its
-/// controller. Bytes of clients come in, bytes of robots go out, and time passes only in step(). The same
-/// laboratory runs behind TCP in real time (LabServer) and in tests as fast as it can. Threads: none, not
-/// thread-safe.
+/// A whole virtual laboratory without sockets and clocks: the physics with its devices, and for each
+/// robot its controller. Bytes of clients come in, bytes of robots go out, and time passes only in step().
+/// The same laboratory runs behind TCP in real time (LabServer) and in tests as fast as it can. Threads:
+/// none, not thread-safe.
 class Laboratory {
   public:
     /// What robot number k tells its client. Must not call back into the laboratory.
@@ -50,17 +49,15 @@ class Laboratory {
     const LmsServer& laser(std::size_t robot) const;
     Truth truth(std::size_t robot) const { return physics_.truth(robot); }
 
-    std::size_t arms() const { return arms_.size(); }
-    void armClientConnected(std::size_t arm);
-    /// What the arm's controller answers.
-    std::vector<std::uint8_t> receiveArm(std::size_t arm, std::span<const std::uint8_t> bytes);
-    Ssc32Server& armController(std::size_t arm) { return *arms_.at(arm); }
+    /// Of the world's devices, in its order.
+    Device& device(std::size_t index) { return physics_.device(index); }
+    const Device& device(std::size_t index) const { return physics_.device(index); }
 
     /// Ground truth, obstacles, faults, placing: for experimenters and judges. Between steps only.
     Physics& physics() { return physics_; }
     const Physics& physics() const { return physics_; }
     /// The world as it was in the beginning. Sessions, motions and now() go on, as when robots are carried
-    /// back; arms are switched off and on.
+    /// back; devices are switched off and on.
     void reset();
 
   private:
@@ -68,7 +65,6 @@ class Laboratory {
     Physics physics_;
     TimePoint now_{};
     std::vector<std::unique_ptr<Controller>> controllers_;
-    std::vector<std::unique_ptr<Ssc32Server>> arms_;
 };
 
 }  // namespace axon::lab

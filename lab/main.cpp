@@ -51,7 +51,7 @@ int main(int argc, char** argv) {
     try {
         // Who furnishes a room wants an own one.
         const bool furnished = options.empty || options.room_x > 0 || options.room_y > 0 ||
-                               !(options.robots.empty() && options.arms.empty() && options.boxes.empty() &&
+                               !(options.robots.empty() && options.devices.empty() && options.boxes.empty() &&
                                  options.tables.empty());
         if (furnished && app.count("--world") == 0) options.world = "plain";
         auto world = options.file.empty() ? knownWorld(options.world) : loadWorld(options.file);
@@ -61,8 +61,9 @@ int main(int argc, char** argv) {
         for (const auto& text : options.boxes) world.boxes.push_back(parseBox(text));
         for (const auto& text : options.tables) world.tables.push_back(parseTable(text));
         for (const auto& text : options.objects) world.objects.push_back(parseObject(text));
-        for (const auto& text : options.arms) world.arms.push_back(parseArm(text, world.arms.size()));
-        if (options.robots.empty() && world.robots.empty() && world.arms.empty())
+        for (const auto& [kind, text] : options.devices)
+            world.devices.push_back(parseDevice(*deviceKind(kind), text));
+        if (options.robots.empty() && world.robots.empty() && world.devices.empty())
             options.robots.emplace_back();
         for (const auto& text : options.robots) world.robots.push_back(parseRobot(text, world.robots.size()));
         LabServer server(world, options.server);

@@ -7,6 +7,10 @@
 /// MobileSim; what neither tells is marked as assumed.
 namespace axon::lab::peoplebot {
 
+/// What moves, joints and motors of the same names, and the geoms that the physics looks at.
+inline constexpr std::array kMotors{"left", "right", "leftpaddle", "rightpaddle", "lift", "pan", "tilt"};
+inline constexpr std::array kGeoms{"leftwheel", "rightwheel", "leftpaddle", "rightpaddle"};
+
 inline constexpr double kWheelRadius_mm = 95.5;
 inline constexpr double kHalfLength_mm = 256.5;  // with bumpers
 inline constexpr double kCentre_mm = -44.65;     // of the outline, behind the axle

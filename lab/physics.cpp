@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
+#include <map>
 #include <numbers>
 #include <random>
 #include <stdexcept>
@@ -88,18 +89,9 @@ struct Body {
 };
 
 /// What a geom belongs to.
-struct Owner {
-    enum class Kind { Floor, Fixed, Obstacle, Object, Robot, Arm };
-    Kind kind = Kind::Floor;
-    std::size_t index = 0;
+struct Owner : Scene::Owner {
     bool holds = false;  // gripper of a robot: it touches objects as a matter of course
-    unsigned front = 0;  // bumper segment
-    unsigned rear = 0;
 };
-
-bool startsWith(const std::string& text, std::string_view with) {
-    return text.compare(0, with.size(), with) == 0;
-}
 
 void addOnce(std::vector<std::string>& names, const std::string& name) {
     if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
@@ -112,15 +104,19 @@ class Physics::Model {
     Model(const WorldDescription& world, const Options& options)
         : world_(world),
           options_(options),
-          model_(loadModel(mjcf(world)), &mj_deleteModel),
+          scene_(sceneOf(world)),
+          model_(loadModel(scene_.xml), &mj_deleteModel),
           data_(mj_makeData(model_.get()), &mj_deleteData) {
         complete(world_);
         obstacle_names_.resize(kObstacles);
-        for (std::size_t i = 0; i < world_.robots.size(); ++i) first_.push_back(find(i));
-        for (std::size_t i = 0; i < world_.arms.size(); ++i)
-            arms_.emplace_back(model_.get(), data_.get(), "c" + std::to_string(i) + "_");
-        for (std::size_t i = 0; i < world_.objects.size(); ++i)
-            objects_.push_back(id(mjOBJ_BODY, "object" + std::to_string(i)));
+        for (const auto& robot : scene_.robots)
+            first_.push_back(bodyOf(partsOf(robot, model_.get(), data_.get())));
+        for (std::size_t i = 0; i < world_.devices.size(); ++i)
+            devices_.push_back(deviceKind(world_.devices[i].kind)
+                                   ->make(partsOf(scene_.devices[i], model_.get(), data_.get())));
+        for (const auto& object : scene_.objects) objects_.push_back(id(mjOBJ_BODY, object));
+        for (const auto& [body, geom] : scene_.obstacles)
+            obstacles_.push_back({model_->body_mocapid[id(mjOBJ_BODY, body)], id(mjOBJ_GEOM, geom)});
         findOwners();
         friction_.assign(model_->geom_friction, model_->geom_friction + 3 * model_->ngeom);
         reset();
@@ -139,8 +135,7 @@ class Physics::Model {
                 data_->ctrl[paddle->actuator] = GripperControl::kOpening_mm / 1000;
             }
         }
-        arm_targets_.assign(arms_.size(), CytonBody::home());
-        for (auto& arm : arms_) arm.place(CytonBody::home());
+        for (const auto& device : devices_) device->reset();
         random_.seed(options_.seed);
         normal_.reset();
         mj_forward(model_.get(), data_.get());
@@ -183,7 +178,7 @@ class Physics::Model {
         if (settings.on && !body.laser.on) body.laser_due_s = data_->time;
         body.laser = settings;
     }
-    void setArm(std::size_t arm, const CytonBody::Positions& targets) { arm_targets_.at(arm) = targets; }
+    Device& device(std::size_t index) const { return *devices_.at(index); }
 
     void step() {
         const double dt = model_->opt.timestep;
@@ -191,7 +186,7 @@ class Physics::Model {
             driveWheels(body, dt);
             moveGripper(body, dt);
         }
-        for (std::size_t i = 0; i < arms_.size(); ++i) arms_[i].setTargets(arm_targets_[i]);
+        for (const auto& device : devices_) device->step(kPeriod);
         advance();
         for (auto& body : bodies_) {
             for (auto* wheel : {&body.left, &body.right}) {
@@ -249,7 +244,6 @@ class Physics::Model {
         });
         return truths;
     }
-    CytonBody::Positions truthOfArm(std::size_t arm) const { return arms_.at(arm).positions(); }
     void forgetTouches() {
         for (auto& body : bodies_) body.touched.clear();
     }
@@ -280,7 +274,7 @@ class Physics::Model {
         }
         *found = box.name;
         const auto number = found - obstacle_names_.begin();
-        const int geom = id(mjOBJ_GEOM, "obstacle" + std::to_string(number) + ":");
+        const int geom = obstacles_[static_cast<std::size_t>(number)].geom;
         mjtNum* size = model_->geom_size + 3 * geom;
         size[0] = box.dx / 2;
         size[1] = box.dy / 2;
@@ -290,7 +284,7 @@ class Physics::Model {
     }
     void moveObstacle(const std::string& name, double x, double y, double theta) {
         const auto number = obstacleNamed(name);
-        standObstacle(number, x, y, data_->mocap_pos[3 * mocapOf(number) + 2], theta);
+        standObstacle(number, x, y, data_->mocap_pos[3 * obstacles_[number].mocap + 2], theta);
     }
     void removeObstacle(const std::string& name) {
         const auto number = obstacleNamed(name);
@@ -328,11 +322,11 @@ class Physics::Model {
     }
 
     const mjModel* model() const { return model_.get(); }
+    const std::string& cameraName(std::size_t robot) const { return scene_.robots.at(robot).cameras[0]; }
 
     void copyTo(mjModel* model, mjData* data) const {
         std::copy_n(model_->cam_fovy, model_->ncam, model->cam_fovy);
-        for (int i = 0; i < kObstacles; ++i) {
-            const int geom = id(mjOBJ_GEOM, "obstacle" + std::to_string(i) + ":");
+        for (const auto& [mocap, geom] : obstacles_) {
             std::copy_n(model_->geom_size + 3 * geom, 3, model->geom_size + 3 * geom);
             model->geom_rbound[geom] = model_->geom_rbound[geom];
         }
@@ -379,70 +373,49 @@ class Physics::Model {
         return mj_name2id(model_.get(), type, name.c_str());
     }
 
-    Body find(std::size_t index) const {
-        const std::string r = "r" + std::to_string(index) + "_";
-        const auto motor = [&](const char* name) {
-            const int joint = id(mjOBJ_JOINT, r + name);
-            return Motor{model_->jnt_qposadr[joint], model_->jnt_dofadr[joint], id(mjOBJ_ACTUATOR, r + name)};
+    /// In the order of peoplebot::kMotors and kGeoms.
+    Body bodyOf(const DeviceParts& parts) const {
+        const auto motor = [&](std::size_t number) {
+            const int joint = parts.joints[number];
+            return Motor{model_->jnt_qposadr[joint], model_->jnt_dofadr[joint], parts.actuators[number]};
         };
         Body body;
-        body.base = id(mjOBJ_BODY, r + "base");
+        body.base = parts.root;
         const int joint = model_->body_jntadr[body.base];
         body.free_position = model_->jnt_qposadr[joint];
         body.free_velocity = model_->jnt_dofadr[joint];
-        body.left = {motor("left")};
-        body.right = {motor("right")};
-        body.wheel_geoms = {id(mjOBJ_GEOM, r + "leftwheel"), id(mjOBJ_GEOM, r + "rightwheel")};
-        body.left_paddle = motor("leftpaddle");
-        body.right_paddle = motor("rightpaddle");
-        body.paddle_geoms = {id(mjOBJ_GEOM, r + "leftpaddle"), id(mjOBJ_GEOM, r + "rightpaddle")};
-        body.lift = motor("lift");
-        body.pan = motor("pan");
-        body.tilt = motor("tilt");
-        body.camera = id(mjOBJ_CAMERA, r + "camera");
+        body.left = {motor(0)};
+        body.right = {motor(1)};
+        body.wheel_geoms = {parts.geoms[0], parts.geoms[1]};
+        body.left_paddle = motor(2);
+        body.right_paddle = motor(3);
+        body.paddle_geoms = {parts.geoms[2], parts.geoms[3]};
+        body.lift = motor(4);
+        body.pan = motor(5);
+        body.tilt = motor(6);
+        body.camera = parts.cameras[0];
         return body;
     }
 
     void findOwners() {
-        owners_.resize(static_cast<std::size_t>(model_->ngeom));
-        const auto number = [](const std::string& text, std::size_t from) {
-            return static_cast<std::size_t>(std::stoul(text.substr(from)));
-        };
+        std::map<int, Scene::Owner> bodies;
+        for (const auto& [name, owner] : scene_.bodies) bodies[id(mjOBJ_BODY, name)] = owner;
+        std::map<int, Scene::Owner> geoms;
+        for (const auto& [name, owner] : scene_.geoms) geoms[id(mjOBJ_GEOM, name)] = owner;
         for (int geom = 0; geom < model_->ngeom; ++geom) {
-            auto& owner = owners_[static_cast<std::size_t>(geom)];
             const int body = model_->geom_bodyid[geom];
-            const char* named = mj_id2name(model_.get(), mjOBJ_GEOM, geom);
-            const std::string name = named == nullptr ? "" : named;
-            const char* root = mj_id2name(model_.get(), mjOBJ_BODY, model_->body_rootid[body]);
-            const std::string tree = root == nullptr ? "" : root;
-            if (body == 0) {
-                owner.kind = name == "floor" ? Owner::Kind::Floor : Owner::Kind::Fixed;
-                if (name == "floor") continue;
-                owner.index = fixed_names_.size();
-                if (startsWith(name, "table")) {
-                    fixed_names_.push_back(world_.tables[number(name, 5)].name);
-                } else if (startsWith(name, "box")) {
-                    fixed_names_.push_back(world_.boxes[number(name, 3)].name);
-                } else {
-                    fixed_names_.emplace_back("wall");
-                }
-            } else if (startsWith(tree, "obstacle")) {
-                owner = {Owner::Kind::Obstacle, number(tree, 8)};
-            } else if (startsWith(tree, "object")) {
-                owner = {Owner::Kind::Object, number(tree, 6)};
-            } else if (startsWith(tree, "c")) {
-                owner = {Owner::Kind::Arm, number(tree, 1)};
-            } else {
-                owner = {Owner::Kind::Robot, number(tree, 1)};
-                const auto& robot = first_[owner.index];
-                const int lift = model_->jnt_bodyid[model_->dof_jntid[robot.lift.velocity]];
-                owner.holds = body == lift || model_->body_parentid[body] == lift;
-                const auto bumper = name.find("bumper");
-                if (bumper != std::string::npos) {
-                    const auto segment = 1U << (number(name, bumper + 6) - 1);
-                    (name.find("front") != std::string::npos ? owner.front : owner.rear) = segment;
-                }
+            auto found = geoms.find(geom);
+            if (found == geoms.end()) {
+                found = bodies.find(model_->body_rootid[body]);
+                if (found == bodies.end())
+                    throw std::logic_error("a geom of this world belongs to nothing that its Scene names");
             }
+            Owner owner{found->second};
+            if (owner.kind == Owner::Kind::Robot) {
+                const int lift = model_->jnt_bodyid[model_->dof_jntid[first_[owner.index].lift.velocity]];
+                owner.holds = body == lift || model_->body_parentid[body] == lift;
+            }
+            owners_.push_back(owner);
         }
     }
 
@@ -450,15 +423,15 @@ class Physics::Model {
         static const std::string kFloor = "floor";
         switch (owner.kind) {
             case Owner::Kind::Fixed:
-                return fixed_names_[owner.index];
+                return scene_.fixed[owner.index];
             case Owner::Kind::Obstacle:
                 return obstacle_names_[owner.index];
             case Owner::Kind::Object:
                 return world_.objects[owner.index].name;
             case Owner::Kind::Robot:
                 return world_.robots[owner.index].name;
-            case Owner::Kind::Arm:
-                return world_.arms[owner.index].name;
+            case Owner::Kind::Device:
+                return world_.devices[owner.index].name;
             default:
                 return kFloor;
         }
@@ -675,11 +648,8 @@ class Physics::Model {
             throw std::invalid_argument("there is no obstacle called " + name);
         return static_cast<std::size_t>(found - obstacle_names_.begin());
     }
-    int mocapOf(std::size_t number) const {
-        return model_->body_mocapid[id(mjOBJ_BODY, "obstacle" + std::to_string(number))];
-    }
     void standObstacle(std::size_t number, double x, double y, double z, double theta_deg) {
-        const int mocap = mocapOf(number);
+        const int mocap = obstacles_[number].mocap;
         const double half = theta_deg / 2 * kDegree;
         const std::array<mjtNum, 3> position{x, y, z};
         const std::array<mjtNum, 4> rotation{std::cos(half), 0, 0, std::sin(half)};
@@ -689,16 +659,20 @@ class Physics::Model {
 
     WorldDescription world_;
     const Options options_;
+    const Scene scene_;
     std::unique_ptr<mjModel, decltype(&mj_deleteModel)> model_;
     std::unique_ptr<mjData, decltype(&mj_deleteData)> data_;
-    std::vector<Owner> owners_;  // by geom
-    std::vector<std::string> fixed_names_;
+    std::vector<Owner> owners_;                // by geom
     std::vector<std::string> obstacle_names_;  // empty: a spare one
     std::vector<Body> first_;                  // as they are in the beginning
     std::vector<Body> bodies_;
-    std::vector<CytonBody> arms_;
-    std::vector<CytonBody::Positions> arm_targets_;
+    std::vector<std::unique_ptr<Device>> devices_;
     std::vector<int> objects_;  // bodies
+    struct Obstacle {
+        int mocap = 0;
+        int geom = 0;
+    };
+    std::vector<Obstacle> obstacles_;
     struct {
         std::vector<mjtNum> qpos, qvel, act, warmstart;
         double time = 0;
@@ -726,8 +700,11 @@ void Physics::setCamera(std::size_t robot, const CameraPose& pose) {
 void Physics::setLaser(std::size_t robot, const LaserSettings& settings) {
     model_->setLaser(robot, settings);
 }
-void Physics::setArm(std::size_t arm, const CytonBody::Positions& targets) {
-    model_->setArm(arm, targets);
+Device& Physics::device(std::size_t index) {
+    return model_->device(index);
+}
+const Device& Physics::device(std::size_t index) const {
+    return model_->device(index);
 }
 void Physics::step() {
     model_->step();
@@ -743,9 +720,6 @@ Truth Physics::truth(std::size_t robot) const {
 }
 std::vector<ObjectTruth> Physics::truthOfObjects() const {
     return model_->truthOfObjects();
-}
-CytonBody::Positions Physics::truthOfArm(std::size_t arm) const {
-    return model_->truthOfArm(arm);
 }
 void Physics::forgetTouches() {
     model_->forgetTouches();
@@ -769,6 +743,9 @@ void Physics::setFault(std::size_t robot, const Fault& fault, bool broken) {
     model_->setFault(robot, fault, broken);
 }
 
+const std::string& PhysicsView::cameraName(std::size_t robot) const {
+    return physics_.model_->cameraName(robot);
+}
 const mjModel* PhysicsView::model() const {
     return physics_.model_->model();
 }

@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "lab/arcos_server.hpp"
-#include "lab/cyton_body.hpp"
 #include "lab/description.hpp"
 
 namespace axon::lab {
@@ -20,7 +19,7 @@ struct Truth {
     double lift_mm = 0;     ///< of the gripper, above its lower end
     double opening_mm = 0;  ///< between its paddles
     /// Everything that its body ever touched with more than a breath, each once: "wall", tables, boxes,
-    /// obstacles, robots and arms by their names, objects that were not between the paddles.
+    /// obstacles, robots and devices by their names, objects that were not between the paddles.
     std::vector<std::string> touched;
 };
 
@@ -31,7 +30,7 @@ struct ObjectTruth {
     double theta_deg = 0;  ///< about the vertical
     double tilt_deg = 0;   ///< of its axis from the vertical; above 45 it was knocked over
     double speed_m_s = 0;
-    std::vector<std::string> on;  ///< what it touches: tables, boxes, "floor", robots, arms
+    std::vector<std::string> on;  ///< what it touches: tables, boxes, "floor", robots, devices
 };
 
 /// What can be broken on a robot, and for how long: until it is mended.
@@ -46,7 +45,7 @@ struct Fault {
     int which = 0;
 };
 
-/// The world's bodies in MuJoCo: what robots sense, and what wheels, grippers, cameras and arms do. Time
+/// The world's bodies in MuJoCo: what robots sense, and what wheels, grippers, cameras and devices do. Time
 /// passes only in step(); the same description, options and calls give the same numbers. Threads: none, not
 /// thread-safe. The constructor throws BadDescription for a world that cannot be built. Names and numbers
 /// that are not there: std::invalid_argument.
@@ -71,8 +70,9 @@ class Physics {
     void setGripper(std::size_t robot, const GripperSpeeds& speeds);
     void setCamera(std::size_t robot, const CameraPose& pose);
     void setLaser(std::size_t robot, const LaserSettings& settings);
-    /// Angles in rad, and how far each claw is open in m; where the servos are to be from now on.
-    void setArm(std::size_t arm, const CytonBody::Positions& targets);
+    /// Its controller and body, which step() steps and reset() resets. Good as long as this is.
+    Device& device(std::size_t index);
+    const Device& device(std::size_t index) const;
     /// Advances by kPeriod.
     void step();
     double time_s() const;
@@ -81,7 +81,6 @@ class Physics {
 
     Truth truth(std::size_t robot) const;
     std::vector<ObjectTruth> truthOfObjects() const;
-    CytonBody::Positions truthOfArm(std::size_t arm) const;
     void forgetTouches();
 
     // What an experimenter does with the hands.

@@ -17,8 +17,8 @@ class PhysicsView {
     /// called at once.
     void copyTo(mjModel* model, mjData* data) const;
 
-    static std::string cameraName(std::size_t robot) { return "r" + std::to_string(robot) + "_camera"; }
-    static constexpr const char* kOverview = "overview";  ///< the camera that sees the whole room
+    /// Of a robot, in the model. The camera that sees the whole room is kOverview (description.hpp).
+    const std::string& cameraName(std::size_t robot) const;
 
   private:
     const Physics& physics_;

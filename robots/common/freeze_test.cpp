@@ -18,7 +18,7 @@
 
 #include "common/descriptor.hpp"
 #include "lab/lab_server.hpp"
-#include "robots/peoplebot/settings.hpp"
+#include "robots/common/robot_settings.hpp"
 #include "tests/support/loopback.hpp"
 #include "tests/support/program.hpp"
 #include "tests/support/robot_manager.hpp"
@@ -104,7 +104,7 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
     void SetUp() override {
         lab::WorldDescription world;
         world.robots = {{.name = "PeopleBot", .x = 1.5, .y = 3}};
-        world.arms = {{.name = "Cyton", .x = 1, .y = 5.4, .z = 0}};
+        world.devices = {{.kind = "cyton", .name = "Cyton", .x = 1, .y = 5.4, .z = 0}};
         lab_ = std::make_unique<lab::LabServer>(
             world, lab::LabServer::Options{
                        .listen = test::loopbackAddress(), .first_port = 0, .pty = GetParam().robot.serial});
@@ -196,8 +196,7 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
         rest = judge(before, after);
     }
 
-    const peoplebot::TemporaryFile ports_{
-        "Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
     std::unique_ptr<lab::LabServer> lab_;
     std::thread lab_thread_;
     std::unique_ptr<Truth> truth_;

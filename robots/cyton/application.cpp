@@ -5,11 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <numeric>
-#include <sstream>
 
-#include "robots/common/guarded_streams.hpp"
+#include "robots/common/robot_entity.hpp"
 #include "robots/cyton/reach_demo.hpp"
 #include "robots/ssc32/protocol.hpp"
 
@@ -28,37 +26,6 @@ constexpr Duration kFirstHoming = std::chrono::seconds{5};
 constexpr double kDemoSpeed_deg_s = 60;  // the profile's, for a link that does not fill in defaults
 constexpr double kControlSpeed_deg_s = 30;
 constexpr double kTolerance_deg = 0.01;
-
-EntityInterfacer::Options interfacerOptions(const Settings& settings, std::shared_ptr<const Clock> clock) {
-    EntityInterfacer::Options options;
-    options.application = settings.application;
-    options.reports_standstill = true;
-    options.instance = settings.instance;
-    options.resource_folders = settings.resources;
-    options.clock = std::move(clock);
-    if (std::filesystem::exists(settings.ports)) {
-        options.ports_file = settings.ports;
-    } else if (!settings.ports.empty()) {
-        std::tie(options.first_port, options.last_port) = parsePortRange(settings.ports);
-    }
-    return options;
-}
-
-/// The controller's connection, and the guard that ends the arm's move if this process cannot.
-arcos::StreamOpener openArm(const Settings& settings) {
-    const auto address = withSpeed(settings.arm);
-    auto open = arcos::robotStreams(address);
-    if (settings.guard_silence == Duration::zero()) return open;
-    return robots::guardedStreams(
-        std::move(open),
-        {.device = address, .stop = std::string(1, ssc32::kEscape), .silence = settings.guard_silence});
-}
-
-std::string contentOf(const std::filesystem::path& file) {
-    std::ostringstream content;
-    content << std::ifstream(file).rdbuf();
-    return content.str();
-}
 
 /// The part of its highest rate at which the fastest joint turns that fast.
 double speedPart(double speed_deg_s) {
@@ -111,22 +78,15 @@ std::string controlObjection(const Task& task) {
 
 Application::Application(const Settings& settings, std::shared_ptr<const Clock> clock)
     : clock_(std::move(clock)),
-      entity_(interfacerOptions(settings, clock_)),
+      entity_(robots::interfacerOptions(settings, clock_)),
       joints_stream_(entity_.stream("joints")),
       gripper_stream_(entity_.stream("gripper")) {
-    const auto folder = profileFolder(settings);
-    if (settings.name.empty()) {
-        entity_.uploadBasicProfile(folder / "basic_profile.xml");
-    } else {
-        renamed_profile_ = std::make_unique<TemporaryFile>(
-            withEntityName(contentOf(folder / "basic_profile.xml"), settings.name));
-        entity_.uploadBasicProfile(renamed_profile_->path());
-    }
-    entity_.uploadServiceProfile(folder / "services_profile.xml");
+    renamed_profile_ = robots::uploadProfiles(entity_, settings);
     entity_.setPosition(settings.at_mm[0], settings.at_mm[1], settings.at_mm[2]);
     setServicesActive(false, "the arm is not connected yet");
 
-    auto open = openArm(settings);
+    // The guard ends the arm's move if this process cannot.
+    auto open = robots::robotLink(settings, withSpeed(settings.arm), std::string(1, ssc32::kEscape));
     gate_ = std::make_unique<ServoGate>([this](const std::string& lines) { return arm_->send(lines); });
     offerServices();
     std::vector<std::size_t> channels(kChannels);

@@ -74,7 +74,7 @@ class Application {
 
     // Constant after construction.
     const std::shared_ptr<const Clock> clock_;
-    std::unique_ptr<TemporaryFile> renamed_profile_;
+    std::unique_ptr<robots::TemporaryFile> renamed_profile_;
     EntityInterfacer entity_;
     Stream joints_stream_;
     Stream gripper_stream_;

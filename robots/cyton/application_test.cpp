@@ -16,7 +16,7 @@
 #include <map>
 #include <thread>
 
-#include "lab/ssc32_server.hpp"
+#include "lab/cyton/ssc32_server.hpp"
 #include "robots/ssc32/protocol.hpp"
 #include "tests/support/loopback.hpp"
 #include "tests/support/program.hpp"
@@ -198,7 +198,8 @@ class CytonApplication : public ::testing::Test {
         EXPECT_EQ(manager_->end(task)->state(), state) << manager_->end(task)->reason().message();
     }
 
-    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    const robots::TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() +
+                                       "\n"};
     std::unique_ptr<Board> board_;
     std::unique_ptr<test::RobotManager> manager_;
     std::unique_ptr<Application> application_;
@@ -410,7 +411,8 @@ class CytonFirstHoming : public ::testing::TestWithParam<Homing> {
     }
 
     Board board_{0, Board::kSwitchedOn};
-    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    const robots::TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() +
+                                       "\n"};
 };
 
 INSTANTIATE_TEST_SUITE_P(Each, CytonFirstHoming,

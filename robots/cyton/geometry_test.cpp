@@ -3,7 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "lab/cyton_geometry.hpp"
+#include "lab/cyton/geometry.hpp"
 
 namespace axon::cyton {
 namespace {

@@ -10,8 +10,8 @@
 #include <memory>
 #include <random>
 
-#include "lab/cyton_body.hpp"
-#include "lab/ssc32_server.hpp"
+#include "lab/cyton/body.hpp"
+#include "lab/cyton/ssc32_server.hpp"
 #include "robots/cyton/pick_and_place.hpp"
 #include "robots/cyton/servo_gate.hpp"
 
@@ -28,6 +28,7 @@ struct Object {
 class World {
   public:
     explicit World(const Object& object) {
+        const auto arm = lab::cytonModel("a_", {.kind = "cyton"});
         const auto xml =
             fmt::format(
                 R"(<mujoco><compiler angle="degree" eulerseq="xyz"/><option timestep="0.004"/>
@@ -38,7 +39,7 @@ class World {
                 object.platform / 2, object.platform / 2, object.x, object.y, object.platform + 0.04,
                 degrees(object.turned), object.cylinder ? "cylinder" : "box",
                 object.cylinder ? "0.014 0.04" : "0.014 0.014 0.04") +
-            lab::cytonMjcf("c_", 0, 0, 0, 0) + "</mujoco>";
+            arm.mjcf + "</mujoco>";
         const auto files = std::make_unique<mjVFS>();
         mj_defaultVFS(files.get());
         mj_makeEmptyFileVFS(files.get(), "w.xml", static_cast<int>(xml.size()));
@@ -48,7 +49,7 @@ class World {
         mj_deleteVFS(files.get());
         if (!model_) throw std::runtime_error(error.data());
         data_.reset(mj_makeData(model_.get()));
-        arm_ = std::make_unique<lab::CytonBody>(model_.get(), data_.get(), "c_");
+        arm_ = std::make_unique<lab::CytonBody>(lab::partsOf(arm, model_.get(), data_.get()));
         arm_->place(lab::CytonBody::home());
         mj_forward(model_.get(), data_.get());
         object_ = mj_name2id(model_.get(), mjOBJ_BODY, "object");

@@ -4,11 +4,9 @@
 #include <fmt/format.h>
 
 #include <cmath>
-#include <fstream>
 #include <random>
-#include <sstream>
 
-#include "robots/common/guarded_streams.hpp"
+#include "robots/common/robot_entity.hpp"
 #include "robots/peoplebot/home.hpp"
 #include "robots/peoplebot/navigation.hpp"
 #include "robots/peoplebot/table_approach.hpp"
@@ -80,21 +78,6 @@ void tellSpeed(Task& task, const RobotState& robot) {
     task.result("Speed", std::round(robot.speed_mm_s()), "mm/s");
 }
 
-EntityInterfacer::Options interfacerOptions(const Settings& settings, std::shared_ptr<const Clock> clock) {
-    EntityInterfacer::Options options;
-    options.application = settings.application;
-    options.reports_standstill = true;
-    options.instance = settings.instance;
-    options.resource_folders = settings.resources;
-    options.clock = std::move(clock);
-    if (std::filesystem::exists(settings.ports)) {
-        options.ports_file = settings.ports;
-    } else if (!settings.ports.empty()) {
-        std::tie(options.first_port, options.last_port) = parsePortRange(settings.ports);
-    }
-    return options;
-}
-
 Pose toPose(const MapPose& place, const std::string& frame) {
     Pose pose;
     pose.x = place.x_mm / 1000;
@@ -104,31 +87,21 @@ Pose toPose(const MapPose& place, const std::string& frame) {
     return pose;
 }
 
-/// The robot's connection, and the guard that stops the robot if this process cannot.
-arcos::StreamOpener openRobot(const Settings& settings) {
-    auto open = arcos::robotStreams(settings.robot);
-    if (settings.guard_silence == Duration::zero()) return open;
+/// What the guard writes if this process cannot.
+std::string stopOrders() {
     std::string stop;
     for (const auto& command :
          {arcos::encodeCommand(Command::EStop),
           arcos::encodeCommand(Command::Gripper, static_cast<int>(arcos::GripperOrder::Halt))})
         stop.append(command.begin(), command.end());
-    return robots::guardedStreams(
-        std::move(open),
-        {.device = settings.robot, .stop = std::move(stop), .silence = settings.guard_silence});
-}
-
-std::string contentOf(const std::filesystem::path& file) {
-    std::ostringstream content;
-    content << std::ifstream(file).rdbuf();
-    return content.str();
+    return stop;
 }
 
 }  // namespace
 
 Application::Application(const Settings& settings, std::shared_ptr<const Clock> clock)
     : clock_(std::move(clock)),
-      entity_(interfacerOptions(settings, clock_)),
+      entity_(robots::interfacerOptions(settings, clock_)),
       pose_stream_(entity_.stream("pose")),
       sonar_stream_(entity_.stream("sonar")),
       battery_stream_(entity_.stream("battery")),
@@ -141,18 +114,10 @@ Application::Application(const Settings& settings, std::shared_ptr<const Clock> 
       navigation_rules_(loadNavigationRules(rulesFile(settings, "navigation.rules"))),
       origin_(settings.at),
       pose_(settings.at) {
-    const auto folder = profileFolder(settings);
-    if (settings.name.empty()) {
-        entity_.uploadBasicProfile(folder / "basic_profile.xml");
-    } else {
-        renamed_profile_ = std::make_unique<TemporaryFile>(
-            withEntityName(contentOf(folder / "basic_profile.xml"), settings.name));
-        entity_.uploadBasicProfile(renamed_profile_->path());
-    }
-    entity_.uploadServiceProfile(folder / "services_profile.xml");
+    renamed_profile_ = robots::uploadProfiles(entity_, settings);
     entity_.setPosition(settings.at.x_mm, settings.at.y_mm, 0);
 
-    auto open = openRobot(settings);
+    auto open = robots::robotLink(settings, settings.robot, stopOrders());
     gate_ = std::make_unique<DriveGate>(DriveGate::Robot{
         .drive = [this](double forward, double left) { return robot_->drive(forward, left); },
         .stop = [this] { return robot_->stop(); },
@@ -326,7 +291,7 @@ std::shared_ptr<const FloorPlan> Application::planOf(const std::filesystem::path
     const std::lock_guard lock(read_map_mutex_);
     if (!read_map_.plan || read_map_.file != file || read_map_.written != written)
         read_map_ = {file, written,
-                     std::make_shared<const FloorPlan>(mapper3::parseMap(contentOf(file), "map"))};
+                     std::make_shared<const FloorPlan>(mapper3::parseMap(robots::contentOf(file), "map"))};
     return read_map_.plan;
 }
 

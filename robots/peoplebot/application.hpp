@@ -94,7 +94,7 @@ class Application {
 
     // Constant after construction.
     const std::shared_ptr<const Clock> clock_;
-    std::unique_ptr<TemporaryFile> renamed_profile_;
+    std::unique_ptr<robots::TemporaryFile> renamed_profile_;
     EntityInterfacer entity_;
     Stream pose_stream_;
     Stream sonar_stream_;

@@ -101,7 +101,8 @@ class ApplicationTest : public ::testing::Test {
     const std::string truth_path_ =
         (std::filesystem::temp_directory_path() / ("axon-peoplebot-truth-" + std::to_string(::getpid())))
             .string();
-    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    const robots::TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() +
+                                       "\n"};
     int port_ = 0;
     std::optional<MapPose> at_ = MapPose{1500, 3000, 0};  // what the program is told
     bool serial_ = false;  // robot and laser are each on a serial line, as on the real one
@@ -302,7 +303,7 @@ TEST_F(ApplicationTest, ANavigationThatCannotBeIsDeniedWithTheReason) {
 TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
     for (const char* stream : {"laser", "localisation", "localisation quality", "particles"})
         manager_->watch(stream);
-    const TemporaryFile map(kDefaultWorld);
+    const robots::TemporaryFile map(kDefaultWorld);
     const auto task = navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
     const auto end = *manager_->end(task);
@@ -334,7 +335,7 @@ class HomeApplicationTest : public ApplicationTest {
 };
 
 TEST_F(HomeApplicationTest, NavigationCountsTheWaySinceTheRobotLeftItsHome) {
-    const TemporaryFile file(map("RobotHome 1500 3000 0"));
+    const robots::TemporaryFile file(map("RobotHome 1500 3000 0"));
     const auto driven = drive(1400, 400);
     ASSERT_TRUE(waitUntil([&] { return manager_->end(driven).has_value(); }, std::chrono::seconds{30}));
     const auto task = navigate(file.path().string(), {{"Destination", "middle"}});
@@ -346,7 +347,7 @@ TEST_F(HomeApplicationTest, NavigationCountsTheWaySinceTheRobotLeftItsHome) {
 
 TEST_F(HomeApplicationTest, ARobotThatIsNotAtTheMapsHomeIsDeniedAndStandsStill) {
     for (const char* home : {"RobotHome 6500 1000 90", "Dock 6500 1000 90", "Elsewhere 0 0 0"}) {
-        const TemporaryFile file(map(home));
+        const robots::TemporaryFile file(map(home));
         std::string why;
         // The laser's first readings come a little after the connection.
         ASSERT_TRUE(waitUntil([&] {
@@ -387,7 +388,7 @@ class SerialLinesTest : public ApplicationTest {
 
 TEST_F(SerialLinesTest, ScansOfTheLasersOwnLineFindTheWayToAGoal) {
     manager_->watch("laser");
-    const TemporaryFile map(kDefaultWorld);
+    const robots::TemporaryFile map(kDefaultWorld);
     const auto task = navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
     const auto end = *manager_->end(task);

@@ -426,40 +426,17 @@ TEST(MapPose, OdometryStartsWhereTheRobotStands) {
     EXPECT_EQ(pose.heading_deg, 100);
 }
 
-TEST(PeopleBotSettings, AreReadAndMistakesNamed) {
-    EXPECT_EQ(parsePortRange("5500-5600"), (std::pair<std::uint16_t, std::uint16_t>(5500, 5600)));
-    for (const char* text : {"", "5500", "5600-5500", "a-b", "5500-99999", "nothing.cfg"}) {
-        EXPECT_THROW(parsePortRange(text), BadSetting) << text;
-    }
+TEST(PeopleBotSettings, APoseIsReadAndMistakesAreNamed) {
     EXPECT_EQ(parsePose("1500,-2,90.5").heading_deg, 90.5);
     for (const char* text : {"", "1", "1,2", "1,2,3,4", "1,2,x", "nan,0,0"})
         EXPECT_THROW(parsePose(text), BadSetting) << text;
-    EXPECT_THROW(profileFolder({.profiles = "/nonexistent"}), BadSetting);
 }
 
-TEST(PeopleBotSettings, ANameReplacesOnlyTheNameOfTheRoot) {
-    EXPECT_EQ(
-        withEntityName("<!-- name=\"x\" --><BasicProfile  descr='d' name = \"PeopleBot\"\n type=\"MOBILE\"/>",
-                       "A & \"B\""),
-        "<!-- name=\"x\" --><BasicProfile  descr='d' name = \"A &amp; &quot;B&quot;\"\n type=\"MOBILE\"/>");
-    for (const char* bad : {"", "<BasicProfile/>", "<BasicProfile", "<BasicProfile name",
-                            "<BasicProfile name=", "<BasicProfile name=x>", "<BasicProfile name=\"x",
-                            "<BasicProfile type=\"name\"/>", "<!-- <BasicProfile name='x'/>"}) {
-        EXPECT_THROW(withEntityName(bad, "A"), BadSetting) << bad;
-    }
-    EXPECT_EQ(withEntityName("<!-- <BasicProfile name='x'/> --><BasicProfile name='y'>", "z"),
-              "<!-- <BasicProfile name='x'/> --><BasicProfile name=\"z\">");
-    EXPECT_EQ(withEntityName("<BasicProfile name='$1'/>", "$2"), "<BasicProfile name=\"$2\"/>");
-}
-
-TEST(PeopleBotSettings, TheTemporaryFileGoesWithItsObject) {
-    std::filesystem::path path;
-    {
-        const TemporaryFile file("<x/>");
-        path = file.path();
-        EXPECT_EQ(std::filesystem::file_size(path), 4U);
-    }
-    EXPECT_FALSE(std::filesystem::exists(path));
+TEST(PeopleBotSettings, RulesOfTheProfilesFolderComeBeforeTheInstalledOnes) {
+    Settings settings;
+    settings.profiles = "robots/peoplebot";
+    EXPECT_EQ(rulesFile(settings, "wander.rules"), "robots/peoplebot/wander.rules");
+    EXPECT_THROW(rulesFile(settings, "nobody.rules"), BadSetting);
 }
 
 }  // namespace

@@ -37,7 +37,7 @@ TEST(PeopleBotProfiles, AreReadWithoutAnyFinding) {
 TEST(PeopleBotProfiles, ARenamedProfileIsTheSameProfileWithAnotherName) {
     const auto before = readBasicProfile(contentOf("basic_profile.xml"), "before");
     const auto after =
-        readBasicProfile(withEntityName(contentOf("basic_profile.xml"), "left & <Client2>"), "after");
+        readBasicProfile(robots::withEntityName(contentOf("basic_profile.xml"), "left & <Client2>"), "after");
     ASSERT_TRUE(after.ok());
     EXPECT_EQ(after.message.name(), "left & <Client2>");
     EXPECT_EQ(after.message.descr(), before.message.descr());

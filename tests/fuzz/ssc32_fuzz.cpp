@@ -6,7 +6,7 @@
 #include <cstdlib>
 #include <span>
 
-#include "lab/ssc32_server.hpp"
+#include "lab/cyton/ssc32_server.hpp"
 #include "robots/ssc32/client_session.hpp"
 
 namespace {

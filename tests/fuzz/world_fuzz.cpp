@@ -26,7 +26,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         }();
         complete(world);
         validate(world);
-        if (mjcf(world).empty()) std::abort();
+        if (sceneOf(world).xml.empty()) std::abort();
     } catch (const BadDescription& error) {
         if (std::string_view(error.what()).empty()) std::abort();
     }

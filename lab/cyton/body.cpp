@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "lab/cyton_body.hpp"
+#include "lab/cyton/body.hpp"
 
 #include <fmt/format.h>
 #include <mujoco/mujoco.h>
 
 #include <algorithm>
 #include <numbers>
-#include <stdexcept>
 
 namespace axon::lab {
 namespace {
@@ -84,14 +83,16 @@ std::string clawXml(const std::string& prefix, const char* name, int side) {
 
 }  // namespace
 
-std::string cytonMjcf(const std::string& prefix, double x, double y, double z, double theta) {
-    std::string xml = fmt::format(
+DeviceModel cytonModel(const std::string& prefix, const DevicePlacement& at) {
+    DeviceModel arm{.mjcf = {}, .root = prefix + "base"};
+    auto& xml = arm.mjcf;
+    xml = fmt::format(
         R"(<worldbody>
 <body name="{}base" pos="{} {} {}" euler="0 0 {}">
 <geom type="cylinder" pos="0 0 0.006" size="0.085 0.006" rgba="0.13 0.13 0.15 1" mass="{}" group="1" contype="1" conaffinity="0"/>
 <geom type="cylinder" pos="0 0 0.048" size="0.055 0.0365" rgba="0.75 0.76 0.78 1" mass="{}" group="1" contype="1" conaffinity="0"/>
 )",
-        prefix, x, y, z, theta, kBaseMass_kg / 2, kBaseMass_kg / 2);
+        prefix, at.x, at.y, at.z.value_or(0), at.theta, kBaseMass_kg / 2, kBaseMass_kg / 2);
     for (std::size_t i = 0; i < kChain.size(); ++i) {
         const auto& joint = kChain[i];
         xml += fmt::format(
@@ -122,29 +123,18 @@ std::string cytonMjcf(const std::string& prefix, double x, double y, double z, d
 <equality><joint joint1="{0}claw_left" joint2="{0}claw_right" polycoef="0 1 0 0 0" solref="0.01 1"/></equality>
 )",
         prefix);
-    return xml;
+    for (const auto& joint : kChain) arm.joints.push_back(prefix + joint.name);
+    arm.joints.push_back(prefix + "claw_right");
+    arm.actuators = arm.joints;
+    arm.joints.push_back(prefix + "claw_left");
+    arm.sites = {prefix + "tcp"};
+    return arm;
 }
 
-CytonBody::CytonBody(const mjModel* model, mjData* data, const std::string& prefix)
-    : model_(model), data_(data) {
-    const auto id = [&](mjtObj type, const std::string& name) {
-        const int found = mj_name2id(model, type, (prefix + name).c_str());
-        if (found < 0)
-            throw std::invalid_argument("no " + prefix + name + " in the model: is it cytonMjcf's?");
-        return found;
-    };
-    for (std::size_t i = 0; i < kChain.size(); ++i) {
-        joints_[i] = id(mjOBJ_JOINT, kChain[i].name);
-        actuators_[i] = id(mjOBJ_ACTUATOR, kChain[i].name);
-    }
-    joints_[kJoints] = id(mjOBJ_JOINT, "claw_right");
-    joints_[kJoints + 1] = id(mjOBJ_JOINT, "claw_left");
-    actuators_[kJoints] = id(mjOBJ_ACTUATOR, "claw_right");
-    site_ = id(mjOBJ_SITE, "tcp");
-}
+CytonBody::CytonBody(const DeviceParts& parts) : parts_(parts) {}
 
 void CytonBody::setTargets(const Positions& targets) {
-    const double dt = model_->opt.timestep;
+    const double dt = parts_.model->opt.timestep;
     for (std::size_t i = 0; i < targets.size(); ++i) {
         const bool claw = i == kJoints;
         const double least = claw ? 0 : -kChain[i].limit_rad;
@@ -155,32 +145,33 @@ void CytonBody::setTargets(const Positions& targets) {
         const double fastest = kServos[i].fastest_us_per_s * std::abs(kServos[i].scale);
         const double speed = moved_before_ ? std::clamp((target - last_[i]) / dt, -fastest, fastest) : 0;
         const auto& gains = claw ? kClawGains : kGains[i];
-        data_->ctrl[actuators_[i]] = target + speed * gains.kv / gains.kp;
+        parts_.data->ctrl[parts_.actuators[i]] = target + speed * gains.kv / gains.kp;
         last_[i] = target;
     }
     moved_before_ = true;
-    for (const int joint : joints_) {
-        const int dof = model_->jnt_dofadr[joint];
-        data_->qfrc_applied[dof] = data_->qfrc_bias[dof];
+    for (const int joint : parts_.joints) {
+        const int dof = parts_.model->jnt_dofadr[joint];
+        parts_.data->qfrc_applied[dof] = parts_.data->qfrc_bias[dof];
     }
 }
 
 CytonBody::Positions CytonBody::positions() const {
     Positions now{};
-    for (std::size_t i = 0; i < now.size(); ++i) now[i] = data_->qpos[model_->jnt_qposadr[joints_[i]]];
+    for (std::size_t i = 0; i < now.size(); ++i)
+        now[i] = parts_.data->qpos[parts_.model->jnt_qposadr[parts_.joints[i]]];
     return now;
 }
 
 std::array<double, 3> CytonBody::graspPoint() const {
-    const mjtNum* at = data_->site_xpos + 3 * site_;
+    const mjtNum* at = parts_.data->site_xpos + 3 * parts_.sites[0];
     return {at[0], at[1], at[2]};
 }
 
 void CytonBody::place(const Positions& positions) {
-    for (std::size_t i = 0; i < joints_.size(); ++i) {
+    for (std::size_t i = 0; i < parts_.joints.size(); ++i) {
         const double value = positions[std::min<std::size_t>(i, kJoints)];
-        data_->qpos[model_->jnt_qposadr[joints_[i]]] = value;
-        data_->qvel[model_->jnt_dofadr[joints_[i]]] = 0;
+        parts_.data->qpos[parts_.model->jnt_qposadr[parts_.joints[i]]] = value;
+        parts_.data->qvel[parts_.model->jnt_dofadr[parts_.joints[i]]] = 0;
     }
     moved_before_ = false;
     setTargets(positions);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "lab/cyton_body.hpp"
+#include "lab/cyton/body.hpp"
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -12,7 +12,7 @@
 #include <optional>
 #include <random>
 
-#include "lab/ssc32_server.hpp"
+#include "lab/cyton/ssc32_server.hpp"
 
 namespace axon::lab {
 namespace {
@@ -44,6 +44,10 @@ struct Model {
     std::unique_ptr<mjData, Free> data;
 };
 
+DeviceModel arm(const std::string& prefix) {
+    return cytonModel(prefix, {.kind = "cyton", .x = 1, .y = 1, .z = kTable, .theta = 90});
+}
+
 std::string world(double object_x, double object_y) {
     return fmt::format(
                R"(<mujoco><compiler angle="degree" eulerseq="xyz"/><option timestep="0.004"/>
@@ -54,7 +58,7 @@ std::string world(double object_x, double object_y) {
 </worldbody>)",
                kTable - 0.015, object_x, object_y, kTable + kPlatform / 2, kPlatform / 2, object_x, object_y,
                kTable + kPlatform + kHalfHeight) +
-           cytonMjcf("c0_", 1, 1, kTable, 90) + "</mujoco>";
+           arm("a_").mjcf + "</mujoco>";
 }
 
 class CytonTest : public ::testing::Test {
@@ -107,8 +111,9 @@ class CytonTest : public ::testing::Test {
         Model scratch(world(0.0, 0.0));
         auto* m = scratch.model.get();
         auto* d = scratch.data.get();
-        CytonBody arm(m, d, "c0_");
-        const int site = mj_name2id(m, mjOBJ_SITE, "c0_tcp");
+        const auto parts = partsOf(arm("a_"), m, d);
+        CytonBody body(parts);
+        const int site = parts.sites[0];
         const double out = std::hypot(x - 1, y - 1);
         const double ox = (x - 1) / out;
         const double oy = (y - 1) / out;
@@ -122,7 +127,7 @@ class CytonTest : public ::testing::Test {
             for (int i = 0; attempt > 0 && i < cyton::kJoints; ++i)
                 q[static_cast<std::size_t>(i)] += std::uniform_real_distribution(-0.8, 0.8)(random);
             for (int step = 0; step < 200; ++step) {
-                arm.place(q);
+                body.place(q);
                 mj_kinematics(m, d);
                 mj_comPos(m, d);
                 const mjtNum* at = d->site_xpos + 3 * site;
@@ -144,9 +149,7 @@ class CytonTest : public ::testing::Test {
                 mj_jacSite(m, d, jacobian.data(), jacobian.data() + 3 * m->nv, site);
                 // J^T (J J^T + damping)^-1 e, by Cholesky.
                 std::array<int, cyton::kJoints> dof{};
-                for (std::size_t i = 0; i < dof.size(); ++i)
-                    dof[i] = m->jnt_dofadr[mj_name2id(m, mjOBJ_JOINT,
-                                                      (std::string("c0_") + cyton::kChain[i].name).c_str())];
+                for (std::size_t i = 0; i < dof.size(); ++i) dof[i] = m->jnt_dofadr[parts.joints[i]];
                 std::array<mjtNum, 36> square{};
                 for (int a = 0; a < 6; ++a)
                     for (int b = 0; b < 6; ++b) {
@@ -174,7 +177,7 @@ class CytonTest : public ::testing::Test {
 
     Model world_{world(kObject[0], kObject[1])};
     Ssc32Server board_;
-    CytonBody arm_{world_.model.get(), world_.data.get(), "c0_"};
+    CytonBody arm_{partsOf(arm("a_"), world_.model.get(), world_.data.get())};
 };
 
 TEST_F(CytonTest, AtZeroItPointsStraightUpWithTheLengthsOfTheUrdf) {
@@ -202,7 +205,7 @@ TEST_F(CytonTest, HoldsItsHomeAgainstGravity) {
 }
 
 TEST_F(CytonTest, AnArmThatIsNotThereIsRefused) {
-    EXPECT_THROW(CytonBody(world_.model.get(), world_.data.get(), "c1_"), std::invalid_argument);
+    EXPECT_THROW(partsOf(arm("b_"), world_.model.get(), world_.data.get()), std::invalid_argument);
 }
 
 TEST_F(CytonTest, ByBytesAloneItLiftsAnObjectFromAPlatformAndStandsItOnTheTable) {

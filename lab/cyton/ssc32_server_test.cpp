@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "lab/ssc32_server.hpp"
+#include "lab/cyton/ssc32_server.hpp"
 
 #include <gtest/gtest.h>
 

@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "lab/cyton_geometry.hpp"
+#include "lab/cyton/geometry.hpp"
 
 namespace axon::lab {
 
