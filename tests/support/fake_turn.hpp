@@ -12,7 +12,6 @@
 #include "entity_manager/core/turn/incident.hpp"
 #include "entity_manager/core/turn/turn.hpp"
 #include "entity_manager/ports/core_settings.hpp"
-#include "entity_manager/ports/journal_record.hpp"
 
 namespace axon::test {
 
@@ -80,16 +79,6 @@ struct FakeTurn final : entity_manager::Turn {
     void warn(std::string text) override { warnings.push_back(std::move(text)); }
     entity_manager::CoreCounters& count() override { return counted; }
 
-    bool note(entity_manager::JournalRecord record) override {
-        noted.push_back(std::move(record));
-        return true;
-    }
-    entity_manager::Later<bool> noteDispatch(entity_manager::JournalRecord record) override {
-        return note(std::move(record));
-    }
-    bool recorded(bool written) override { return written; }
-    void noteRefusal(const Sender&, LeaseNumber, const Refusal&) override {}
-
     bool hasTasks() const override { return !steps.empty(); }
     Refusal admitStep(const proto::TaskRequest& request) override {
         steps.push_back(request);
@@ -137,7 +126,6 @@ struct FakeTurn final : entity_manager::Turn {
     std::vector<Told> told;
     std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;
-    std::vector<entity_manager::JournalRecord> noted;
     std::vector<std::string> warnings, lost_servers;
     std::string not_ready;
     std::vector<proto::TaskRequest> steps;

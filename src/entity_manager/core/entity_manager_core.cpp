@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <chrono>
 #include <set>
-#include <stdexcept>
 #include <utility>
 
 #include "common/planted_bug.hpp"
+#include "entity_manager/core/kept_identity.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -16,44 +16,10 @@ namespace axon::entity_manager {
 namespace {
 
 constexpr std::size_t kReadOfStrangers = 16 * 1024;
-/// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
-/// deleted on a full disk, and what is in doubt is latched.
-constexpr const char* kRearmedKey = "rearmed";
-constexpr const char* kFreeKey =
-    "free";  // its absence means that somebody holds the entity, as with kRearmedKey
-constexpr const char* kThere = "1";
-
 const Refusal kTooLargeForLink{RefusalCode::TooLarge,
                                "It is larger than the link to the robot application takes at once (1 MiB). "
                                "Send it in parts, or upload a resource.",
                                {}};
-
-std::string loadUuid(Storage& storage, RandomSource& random, const std::string& given) {
-    if (const auto stored = storage.load(kUuidKey)) {
-        if (const auto id = Id128::parse(*stored)) return id->toString();
-        throw std::runtime_error("The stored value \"uuid\" is damaged: expected a UUID, found \"" +
-                                 stored->substr(0, 64) +
-                                 "\". Put the folder's backup in its place. Without one remove the folder: "
-                                 "the robot then is a new "
-                                 "entity, without saved values and resources.");
-    }
-    const auto made = given.empty() ? Id128::uuid(random).toString() : given;
-    // Before the uuid: a first life that is broken off in between leaves no latch that nobody set.
-    if (!storage.load(kGenerationKey)) {
-        storage.save(kRearmedKey, kThere);
-        storage.save(kFreeKey, kThere);
-    }
-    storage.save(kUuidKey, made);
-    return made;
-}
-
-/// Some of what every life writes at its start is there, and some is not: a disk or a person has lost it.
-bool partsAreLost(Storage& storage) {
-    if (AXON_PLANTED(EpochNotSaved) || AXON_PLANTED(GenerationsNotReserved)) return false;
-    const std::array there{storage.load(kUuidKey).has_value(), LeaseBook::isStored(storage),
-                           storage.load(kGenerationKey).has_value()};
-    return std::count(there.begin(), there.end(), there.front()) != std::ssize(there);
-}
 
 /// Which request it is. Quit, which no client can ask for: none, such as the messages of a run that are no
 /// requests (Teamwork::hear()), and those of a front-end server or of the direct path.
@@ -77,121 +43,33 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       clock_(clock),
       back_end_(back_end),
       server_(server),
-      storage_(storage),
-      journal_(journal),
       parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random, settings_.uuid)),
+      latch_(storage, parts_lost_),
+      journal_(*this, journal),
       presence_(
           *this, server,
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
-      ownership_(*this, storage, random, profiler_, {settings_.lease_grace, settings_.resource_bytes_max}),
+      ownership_(*this, journal_, storage, random, profiler_,
+                 {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_counter, back_end),
-      tasks_(*this, back_end, resources, stop_counter, random, profiler_, memory_,
+      tasks_(*this, journal_, back_end, resources, stop_counter, random, profiler_, memory_,
              {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
       profiles_(*this, resources, profiler_, {uuid_, settings_.application, settings_.profiles_within}),
-      teamwork_(*this, storage, random, profiler_, memory_, {uuid_, settings_.server_watchdog_busy}),
+      teamwork_(*this, journal_, storage, random, profiler_, memory_,
+                {uuid_, settings_.server_watchdog_busy}),
       inputs_(*this, storage, resources, profiler_,
               {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
-    // A person stopped the robot, and that this process was killed since is no word of a person.
-    latched_ = latch_kept_ = storage.load(kRearmedKey) != kThere;
-    // The last life was broken off while somebody held the robot, which has stopped by itself: a loss like
-    // the others.
-    if (storage.load(kFreeKey) != kThere && !AXON_PLANTED(LatchForgotten)) latched_ = true;
     if (parts_lost_) {
-        latched_ = true;
         warning_ =
             "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
             "latched; fix: look whether all commands for it are new, then rearm it";
     }
-    free_kept_ = storage.load(kFreeKey) == kThere;
     keepState();  // the latch says it now, and nobody holds it
-    replayJournal();
+    journal_.begin(memory_, ownership_.lease().last(), "entity " + uuid_);
     for (const auto& finding : inputs_.findings()) {
         if (!parts_lost_) warning_ = finding.message();
     }
-}
-
-/// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more.
-void EntityManagerCore::replayJournal() {
-    if (journal_ == nullptr || AXON_PLANTED(JournalNotRead)) return;
-    journal_->replay([this](const JournalRecord& record) {
-        if (record.kind == JournalRecord::Kind::Dispatched) memory_.dispatched(record.task);
-        if (record.kind != JournalRecord::Kind::TaskEnded) return;
-        auto state = proto::TASK_UNKNOWN;  // of a later version, perhaps
-        proto::TaskState_Parse(record.code, &state);
-        memory_.ended(record.task, state);
-    });
-    note({.kind = JournalRecord::Kind::Started,
-          .lease = ownership_.lease().last(),
-          .text = "entity " + uuid_});
-    for (const auto& id : memory_.unfinished()) {
-        memory_.ended(id, proto::TASK_UNKNOWN);
-        note({.kind = JournalRecord::Kind::TaskEnded,
-              .task = id,
-              .code = proto::TaskState_Name(proto::TASK_UNKNOWN),
-              .text = "The Entity Manager ended while it ran."});
-    }
-}
-
-void EntityManagerCore::complete(JournalRecord& record) const {
-    if (record.lease == LeaseNumber{} && held()) record.lease = held()->number;
-    if (record.generation == 0) record.generation = stops_.generation();
-    record.at_us = toMicroseconds(clock_.now());
-}
-
-bool EntityManagerCore::note(JournalRecord record) {
-    // Not read from the journal, whose line may be lost with a full disk: a deletion is not.
-    if (record.kind == JournalRecord::Kind::Granted && std::exchange(free_kept_, false))
-        storage_.forget(kFreeKey);
-    if (journal_ == nullptr) return true;
-    complete(record);
-    return recorded(journal_->append(record));
-}
-
-Later<bool> EntityManagerCore::noteDispatch(JournalRecord record) {
-    if (journal_ == nullptr) return true;
-    complete(record);
-    return journal_->appendDispatch(record);
-}
-
-bool EntityManagerCore::recorded(bool written) {
-    if (!written) ++counters_.unrecorded;
-    if (!written && !journal_failing_)
-        warning_ = "the journal cannot be written; no task begins until it can. Is the disk full?";
-    journal_failing_ = !written;
-    return written;
-}
-
-/// After the effects, so that none of them waits for the disk; a rearm that it loses leaves the latch. That
-/// the robot is free comes last: wherever the power is lost before, the next life finds it held or latched.
-void EntityManagerCore::keepState() {
-    if (latched_ != latch_kept_ && !AXON_PLANTED(LatchNotKept)) {
-        latch_kept_ = latched_;
-        if (latched_)
-            storage_.forget(kRearmedKey);
-        else
-            storage_.keep(kRearmedKey, kThere);
-    }
-    if (!free_kept_ && !held()) {
-        free_kept_ = true;
-        storage_.keep(kFreeKey, kThere);
-    }
-}
-
-void EntityManagerCore::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
-    const bool ownership =
-        (refusal.code >= RefusalCode::NotHolder && refusal.code <= RefusalCode::HandOverRefused) ||
-        refusal.code == RefusalCode::PermissionDenied;
-    if (!ownership || journal_ == nullptr) return;
-    if (!refusals_noted_.admit(clock_.now())) {
-        ++counters_.unrecorded;
-        return;
-    }
-    note({.kind = JournalRecord::Kind::Refused,
-          .lease = under,
-          .who = named(who),
-          .code = std::string(refusalName(refusal.code)),
-          .text = refusal.message});
 }
 
 void EntityManagerCore::fire(Incident& incident) {
@@ -241,24 +119,30 @@ void EntityManagerCore::process(Event event, Who who, const Header& head, proto:
     fire(incident);
 }
 
+/// OK, or why a request that is the holder's is not carried out for this sender.
+Refusal EntityManagerCore::whyNotHolder(Who who, const Header& head) const {
+    const bool must_hold =
+        who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin);
+    return must_hold && !AXON_PLANTED(StrangersObeyed) ? checkLease(head.sender, head.held) : Refusal{};
+}
+
+bool EntityManagerCore::latchForbids(Event event) const {
+    return needsOf(event).not_latched && latched() && !AXON_PLANTED(LatchUnchecked);
+}
+
 Refusal EntityManagerCore::guard(Event event, Who who, const Header& head) const {
     if (who == Who::Operator && head.sender.role == Role::Observer)
         return {RefusalCode::PermissionDenied,
                 "Observers may watch and stop, but not check out. Log in as an operator.",
                 {}};
-    if (who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin)) {
-        if (auto refusal = checkLease(head.sender, head.held);
-            !refusal.ok() && !AXON_PLANTED(StrangersObeyed))
-            return refusal;
-    }
+    if (auto refusal = whyNotHolder(who, head); !refusal.ok()) return refusal;
     // An invitation shows a seal of its own (Teamwork::considerInvitation).
     if (who == Who::Nobody && event != Event::CollaborationRequest)
         return {RefusalCode::PermissionDenied, "No client may ask an entity for this.", {}};
-    const auto needs = needsOf(event);
-    if (needs.stop_generation) {
+    if (needsOf(event).stop_generation) {
         if (auto refusal = stops_.whyNot(head.stop_generation); !refusal.ok()) return refusal;
     }
-    if (needs.not_latched && latched_ && !AXON_PLANTED(LatchUnchecked))
+    if (latchForbids(event))
         return {RefusalCode::Latched,
                 "The entity has been stopped. Rearm it first; that starts nothing by itself.",
                 {}};
@@ -277,17 +161,13 @@ void EntityManagerCore::perform(Action action, Incident& incident) {
 }
 
 void EntityManagerCore::latch(const Incident& incident) {
-    // The server's stop on behalf of a client that leaves in an orderly way is not a call for help.
-    if (incident.cause == StopCause::Released && holder() != nullptr && incident.head != nullptr &&
-        holder()->id == incident.head->sender.id)
-        return;
-    if (!AXON_PLANTED(LatchForgotten)) latched_ = true;
+    if (mustLatch(incident, holder())) latch_.set();
 }
 
 void EntityManagerCore::unlatch(const Incident& incident) {
-    latched_ = false;
+    latch_.release();
     stops_.rearmed();
-    note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
+    journal_.note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
     reply(incident.head->sender, incident.body->rearm().request_id(), {});
 }
 
@@ -508,7 +388,7 @@ EntityStatus EntityManagerCore::status() const {
     EntityStatus status;
     status.entity = uuid_;
     status.state = state_;
-    status.latched = latched_;
+    status.latched = latched();
     status.stop_generation = static_cast<std::int32_t>(stops_.generation());
     if (const auto* held = this->held()) {
         status.holder = held->holder;
@@ -525,15 +405,15 @@ void EntityManagerCore::tellStatus() {
 }
 
 void EntityManagerCore::stopApplication(Incident& incident) {
-    if (AXON_PLANTED(LostServerDoesNotStop) && incident.event == Event::ServerDown) return;
+    if (!mustStop(incident)) return;
     incident.generation = stops_.order(incident.cause, incident.event != Event::Reset);
     tasks_.restamp();
     if (incident.event != Event::Reset) tasks_.applicationStopped();
-    note({.kind = JournalRecord::Kind::Stopped,
-          .generation = incident.generation,
-          .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
-          .code = toString(incident.cause),
-          .text = incident.reason.message});
+    journal_.note({.kind = JournalRecord::Kind::Stopped,
+                   .generation = incident.generation,
+                   .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
+                   .code = toString(incident.cause),
+                   .text = incident.reason.message});
 }
 
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
@@ -547,11 +427,11 @@ void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::u
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
     tasks_.applicationStopped();
     if (!AXON_PLANTED(StopNotInTheJournal))
-        note({.kind = JournalRecord::Kind::Stopped,
-              .generation = generation,
-              .who = named(head.sender),
-              .code = toString(cause),
-              .text = incident.reason.message});
+        journal_.note({.kind = JournalRecord::Kind::Stopped,
+                       .generation = generation,
+                       .who = named(head.sender),
+                       .code = toString(cause),
+                       .text = incident.reason.message});
     fire(incident);
     settle();
 }
@@ -615,6 +495,7 @@ void EntityManagerCore::controlTask(const Incident& incident) {
 }
 
 void EntityManagerCore::granted(Incident& granted) {
+    latch_.granted();
     const bool resumed = granted.event == Event::LeaseResumed;
     if (resumed) tasks_.attend();
     fire(granted);
@@ -737,7 +618,7 @@ void EntityManagerCore::refuse(const Incident& incident, const Refusal& refusal)
         return;
     }
     const auto& to = incident.head->sender;
-    if (incident.event != Event::CheckOut) noteRefusal(to, incident.head->held, refusal);
+    if (incident.event != Event::CheckOut) journal_.noteRefusal(to, incident.head->held, refusal);
     switch (incident.event) {
 #define AXON_FACT(name) \
     case Event::name:   \
@@ -779,7 +660,7 @@ void EntityManagerCore::answerStatus(const Incident& incident) {
     proto::ToClient message;
     auto& status = *message.mutable_status();
     status.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-    status.set_latched(latched_);
+    status.set_latched(latched());
     status.set_stop_generation(stops_.generation());
     if (holder() != nullptr) status.set_holder(named(*holder()));
     status.set_orphaned(orphaned());

@@ -13,16 +13,17 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
-#include "common/rate_limit.hpp"
 #include "common/rights.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/core/collaboration/teamwork.hpp"
 #include "entity_manager/core/inputs/inputs.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/ownership/ownership.hpp"
 #include "entity_manager/core/presence/presence.hpp"
 #include "entity_manager/core/presence/profiles.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
+#include "entity_manager/core/stops/latch.hpp"
 #include "entity_manager/core/stops/stop_ledger.hpp"
 #include "entity_manager/core/streams/streams.hpp"
 #include "entity_manager/core/tasks/tasks.hpp"
@@ -111,7 +112,7 @@ class EntityManagerCore final : private Turn {
     void shutDown();
 
     EntityState state() const override { return state_; }
-    bool latched() const override { return latched_; }
+    bool latched() const override { return latch_.isSet(); }
     /// Whether it counts on a session with the server; a silent one it has given up.
     bool serverUp() const { return presence_.connected(); }
     const std::string& uuid() const { return uuid_; }
@@ -142,6 +143,8 @@ class EntityManagerCore final : private Turn {
     void sendGrant(const Incident& incident);
     void noteWatch(const Incident& incident);
     Refusal guard(Event event, Who who, const Header& head) const;
+    Refusal whyNotHolder(Who who, const Header& head) const;
+    bool latchForbids(Event event) const;
     void settle();
     /// In this order time passes for them: first whether there is a server at all, then who holds the entity.
     template <class Use>
@@ -150,15 +153,8 @@ class EntityManagerCore final : private Turn {
             use(core.profiles_);
     }
 
-    // The journal.
-    void replayJournal();
-    bool note(JournalRecord record) override;
-    Later<bool> noteDispatch(JournalRecord record) override;
-    void complete(JournalRecord& record) const;
-    bool recorded(bool written) override;
     /// In the storage: the latch, and whether somebody holds the robot.
-    void keepState();
-    void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) override;
+    void keepState() { latch_.keep(held() != nullptr); }
 
     // States, profiles, server.
     void profilesAreGood(const proto::BasicProfile& basic) override;
@@ -239,17 +235,13 @@ class EntityManagerCore final : private Turn {
     const Clock& clock_;
     BackEndPort& back_end_;
     ServerPort& server_;
-    Storage& storage_;
-    Journal* const journal_;  ///< null = none is kept
-    const bool parts_lost_;   ///< of the state; before the others, which write theirs
+    const bool parts_lost_;  ///< of the state; before the others, which write theirs
     std::string uuid_;
+    Latch latch_;
+    JournalWriter journal_;
 
     EntityState state_ = EntityState::UNAV;
     EntityState previous_ = EntityState::REG;  ///< where BUSY returns to
-    bool latched_ = false;
-    bool latch_kept_ = false;  ///< as the storage has it
-    bool free_kept_ = false;   ///< likewise; false before anybody is granted the robot
-    bool journal_failing_ = false;
     bool link_up_ = false;
     bool quit_ = false;
     std::string reason_;
@@ -290,7 +282,6 @@ class EntityManagerCore final : private Turn {
     proto::EmToEi raw_to_link_;
     proto::ToClient raw_to_client_;
     CoreCounters counters_;
-    RateLimit refusals_noted_{10};
 };
 
 }  // namespace axon::entity_manager

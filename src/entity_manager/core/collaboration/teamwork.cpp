@@ -30,9 +30,10 @@ proto::Problem problem(std::int32_t step, const Refusal& refusal) {
 
 }  // namespace
 
-Teamwork::Teamwork(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
-                   TaskMemory& memory, Settings settings)
+Teamwork::Teamwork(Turn& turn, JournalWriter& journal, Storage& storage, RandomSource& random,
+                   const ServiceProfiler& profiler, TaskMemory& memory, Settings settings)
     : turn_(turn),
+      journal_(journal),
       random_(random),
       profiler_(profiler),
       memory_(memory),
@@ -75,10 +76,10 @@ void Teamwork::considerRun(const Incident& incident) {
         run_->begin(turn_.now());
     } else {
         memory_.accept(*id);
-        run_noted_ = turn_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
-                                         .who = named(*turn_.holder()),
-                                         .task = *id,
-                                         .service = run_->request().service().name()});
+        run_noted_ = journal_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
+                                            .who = named(*turn_.holder()),
+                                            .task = *id,
+                                            .service = run_->request().service().name()});
     }
     turn_.fire(Event::CollaborationBegun);
 }
@@ -86,7 +87,7 @@ void Teamwork::considerRun(const Incident& incident) {
 /// Before its entry is in the journal nobody hears of a run: a next life would let it begin again.
 void Teamwork::beginRun() {
     if (!run_noted_ || !run_noted_->ready()) return;
-    const bool written = turn_.recorded(std::exchange(run_noted_, std::nullopt)->value());
+    const bool written = journal_.recorded(std::exchange(run_noted_, std::nullopt)->value());
     if (!written) {
         run_->abandon(
             proto::RUN_REFUSED,
@@ -163,11 +164,11 @@ void Teamwork::endRun() {
                            : record.state() == proto::RUN_CANCELLED ? proto::TASK_CANCELLED
                            : record.state() == proto::RUN_REFUSED   ? proto::TASK_REFUSED
                                                                     : proto::TASK_FAILED;
-        turn_.note({.kind = JournalRecord::Kind::TaskEnded,
-                    .task = id,
-                    .service = record.service().name(),
-                    .code = proto::TaskState_Name(state),
-                    .text = record.reason().message()});
+        journal_.note({.kind = JournalRecord::Kind::TaskEnded,
+                       .task = id,
+                       .service = record.service().name(),
+                       .code = proto::TaskState_Name(state),
+                       .text = record.reason().message()});
         memory_.ended(id, state);
     }
     endPart();
@@ -270,10 +271,10 @@ void Teamwork::problemsOf(const proto::Invitation& invitation, proto::Invitation
 
 void Teamwork::considerInvitation(const Sender& master, const proto::FromMaster& message) {
     if (const auto refusal = checkSubLease(master, message); !refusal.ok()) {
-        turn_.noteRefusal(master,
-                          {static_cast<std::int32_t>(message.invitation().lease().epoch()),
-                           static_cast<std::int32_t>(message.invitation().lease().number())},
-                          refusal);
+        journal_.noteRefusal(master,
+                             {static_cast<std::int32_t>(message.invitation().lease().epoch()),
+                              static_cast<std::int32_t>(message.invitation().lease().number())},
+                             refusal);
         declineInvitation(master, message, refusal);
         return;
     }

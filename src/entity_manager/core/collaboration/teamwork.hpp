@@ -16,6 +16,7 @@
 #include "common/refusal.hpp"
 #include "entity_manager/core/collaboration/farewells.hpp"
 #include "entity_manager/core/collaboration/run_records.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
 #include "entity_manager/core/turn/incident.hpp"
@@ -38,8 +39,8 @@ class Teamwork final : public Owner {
         Duration watchdog;   ///< of the master's silence, while its run goes on
     };
     /// `memory` has the ids of runs beside those of tasks: neither begins twice.
-    Teamwork(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
-             TaskMemory& memory, Settings settings);
+    Teamwork(Turn& turn, JournalWriter& journal, Storage& storage, RandomSource& random,
+             const ServiceProfiler& profiler, TaskMemory& memory, Settings settings);
 
     // Actions of the state table.
 
@@ -133,6 +134,7 @@ class Teamwork final : public Owner {
     const proto::Participant* partner(std::string_view name) const;
 
     Turn& turn_;
+    JournalWriter& journal_;
     RandomSource& random_;
     const ServiceProfiler& profiler_;
     TaskMemory& memory_;

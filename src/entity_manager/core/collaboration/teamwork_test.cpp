@@ -76,7 +76,8 @@ struct Teamworks : testing::Test {
     test::FakeTurn turn;
     ServiceProfiler profiler;
     TaskMemory memory;
-    Teamwork teamwork{turn, storage, random, profiler, memory, {"self", 250ms}};
+    JournalWriter journal{turn, nullptr};
+    Teamwork teamwork{turn, journal, storage, random, profiler, memory, {"self", 250ms}};
 };
 
 TEST_F(Teamworks, AMasterIsObeyedThatTheHolderHasGivenTheRight) {

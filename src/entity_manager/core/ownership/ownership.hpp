@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/refusal.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/ownership/hand_over.hpp"
 #include "entity_manager/core/ownership/wait_list.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
@@ -31,8 +32,8 @@ class Ownership final : public Owner {
         std::uint64_t resource_bytes_max = 0;  ///< told with a grant
     };
     /// `profiler`: whose services a grant tells. Throws std::runtime_error where the storage is damaged.
-    Ownership(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
-              const Settings& settings);
+    Ownership(Turn& turn, JournalWriter& journal, Storage& storage, RandomSource& random,
+              const ServiceProfiler& profiler, const Settings& settings);
 
     const LeaseBook& lease() const { return lease_; }
     std::size_t waiting() const { return wait_list_.size(); }
@@ -86,6 +87,7 @@ class Ownership final : public Owner {
     void resume(const Incident& incident);
     Refusal mayTake(const Claim& claim) const;
     bool waitsForStandstill(const Claim& claim, proto::CheckOutPhase phase);
+    bool mustWaitForStandstill() const;
     void grantWhenStanding(Claim claim, proto::CheckOutPhase phase);
     void takeOver(const Claim& claim, proto::CheckOutPhase phase, const Refusal& why);
     void askHolder(const Claim& claim, bool waits, const std::string& reason);
@@ -99,6 +101,7 @@ class Ownership final : public Owner {
     void dropWaitingGrant(const Refusal& reason);
 
     Turn& turn_;
+    JournalWriter& journal_;
     const ServiceProfiler& profiler_;
     const Settings settings_;
 

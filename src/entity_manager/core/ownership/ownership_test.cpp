@@ -64,7 +64,8 @@ struct Ownerships : testing::Test {
     test::MemoryStorage storage;
     test::FakeTurn turn;
     ServiceProfiler profiler;
-    Ownership ownership{turn, storage, random, profiler, {10s, 1000}};
+    JournalWriter journal{turn, nullptr};
+    Ownership ownership{turn, journal, storage, random, profiler, {10s, 1000}};
 };
 
 TEST_F(Ownerships, WhatIsFreeIsGrantedAndNobodyElseGetsIt) {

@@ -28,9 +28,11 @@ constexpr double kLongestNotAfter_s = 1e6;
 
 }  // namespace
 
-Tasks::Tasks(Turn& turn, BackEndPort& back_end, ResourceStore& store, StopCounter& stop_counter,
-             RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory, Settings settings)
+Tasks::Tasks(Turn& turn, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
+             StopCounter& stop_counter, RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory,
+             Settings settings)
     : turn_(turn),
+      journal_(journal),
       back_end_(back_end),
       store_(store),
       stop_counter_(stop_counter),
@@ -113,6 +115,11 @@ bool Tasks::mayStart() const {
            turn_.stops().standing;
 }
 
+/// A stop that the signal thread has passed on and that has not come here yet voids the queue.
+bool Tasks::isOvertakenByAStop(const Task& task) const {
+    return task.generation != stop_counter_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked);
+}
+
 /// In order of arrival: a task that must wait holds back those behind it, or it might wait for ever.
 void Tasks::dispatchNext() {
     continueParts();
@@ -121,9 +128,7 @@ void Tasks::dispatchNext() {
             expireQueue();
             continue;
         }
-        // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
-        if (queue_.front().generation != stop_counter_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked))
-            return;
+        if (isOvertakenByAStop(queue_.front())) return;
         if (!admissible(queue_.front())) return;
         if (const auto prepared = prepare(queue_.front()); !prepared) {
             refusePrepared(prepared.refusal());
@@ -151,14 +156,14 @@ Result<bool> Tasks::prepare(Task& task) {
     if (!task.looked->value().empty()) return missingFiles(task);
     if (AXON_PLANTED(DispatchNotInTheJournal)) return true;
     if (!task.noted)
-        task.noted =
-            turn_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
-                                .who = named(*turn_.holder()),
-                                .task = task.id,
-                                .service = task.service,
-                                .text = task.plan.composite ? partText(profiler_, task, 0) : std::string()});
+        task.noted = journal_.noteDispatch(
+            {.kind = JournalRecord::Kind::Dispatched,
+             .who = named(*turn_.holder()),
+             .task = task.id,
+             .service = task.service,
+             .text = task.plan.composite ? partText(profiler_, task, 0) : std::string()});
     if (!task.noted->ready()) return false;
-    if (turn_.recorded(task.noted->value())) return true;
+    if (journal_.recorded(task.noted->value())) return true;
     task.noted.reset();
     return Refusal{RefusalCode::Overloaded,
                    "The Entity Manager cannot write its journal, so it starts no task. Is the robot's disk "
@@ -486,11 +491,11 @@ void Tasks::concludeTask(const Task& task, proto::TaskEvent& event) {
     event.set_task_id(task.id.bytes());
     event.set_service(task.service);
     if (memory_.wasDispatched(task.id) || task.noted)
-        turn_.note({.kind = JournalRecord::Kind::TaskEnded,
-                    .task = task.id,
-                    .service = task.service,
-                    .code = proto::TaskState_Name(event.state()),
-                    .text = event.reason().message()});
+        journal_.note({.kind = JournalRecord::Kind::TaskEnded,
+                       .task = task.id,
+                       .service = task.service,
+                       .code = proto::TaskState_Name(event.state()),
+                       .text = event.reason().message()});
     memory_.ended(task.id, turn_.held() ? turn_.held()->number : LeaseNumber{}, event, turn_.now());
     tellTask(event);
 }

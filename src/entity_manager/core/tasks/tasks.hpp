@@ -11,6 +11,7 @@
 #include "common/ids.hpp"
 #include "common/refusal.hpp"
 #include "common/result.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
 #include "entity_manager/core/tasks/active_task.hpp"
@@ -37,8 +38,9 @@ class Tasks final : public Owner {
         Duration answer_within;  ///< for the robot application to grant or deny a task
         Duration grace;          ///< for which a lost client may come back; 0 = none
     };
-    Tasks(Turn& turn, BackEndPort& back_end, ResourceStore& store, StopCounter& stop_counter,
-          RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory, Settings settings);
+    Tasks(Turn& turn, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
+          StopCounter& stop_counter, RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory,
+          Settings settings);
 
     // Actions of the state table.
 
@@ -124,6 +126,7 @@ class Tasks final : public Owner {
     };
 
     bool mayStart() const;
+    bool isOvertakenByAStop(const Task& task) const;
     bool admissible(const Task& task) const;
     Result<bool> prepare(Task& task);
     Refusal missingFiles(const Task& task);
@@ -166,6 +169,7 @@ class Tasks final : public Owner {
     }
 
     Turn& turn_;
+    JournalWriter& journal_;
     BackEndPort& back_end_;
     ResourceStore& store_;
     StopCounter& stop_counter_;

@@ -10,7 +10,6 @@
 #include "common/refusal.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/core/turn/lease_book.hpp"
-#include "entity_manager/ports/later.hpp"
 
 namespace axon::proto {
 class BasicProfile;
@@ -27,7 +26,6 @@ namespace axon::entity_manager {
 struct CoreCounters;
 enum class Event : std::uint8_t;
 struct Incident;
-struct JournalRecord;
 
 /// Bytes of a reason or fault of the robot application that people are told.
 inline constexpr std::size_t kReasonMax = 2000;
@@ -105,16 +103,6 @@ class Turn {
     /// There is no session any more, or one that counts.
     virtual void serverLost(const std::string& reason) = 0;
     virtual CoreCounters& count() = 0;
-
-    // The journal.
-    /// Fills in what is empty and every entry has. False: it could not be written.
-    virtual bool note(JournalRecord record) = 0;
-    /// The entry that goes before a task or a run. It may begin when this has come and `recorded` says so.
-    virtual Later<bool> noteDispatch(JournalRecord record) = 0;
-    /// Counts, and warns of, what the journal does not take; returns what it is told.
-    virtual bool recorded(bool written) = 0;
-    /// Refusals of ownership are noted, at most so many a second; others are not.
-    virtual void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) = 0;
 
     // What a run asks of the entity's tasks.
     /// Whether a task waits or has begun.
