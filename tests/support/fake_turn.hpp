@@ -94,7 +94,6 @@ struct FakeTurn final : entity_manager::Turn {
 
     Refusal leavesRoom(int, const proto::Param&) const override { return room; }
     void reconfigure(int, const proto::Param& param) override { reconfigured.push_back(param); }
-    void tellServices(const std::vector<int>& services) override { told_services.push_back(services); }
 
     bool finishesAlone() const override { return task_finishes_alone; }
     void loseHolder(entity_manager::Incident& lost) override { fire(lost); }
@@ -122,7 +121,6 @@ struct FakeTurn final : entity_manager::Turn {
     std::vector<Refusal> refused, replies;
     Refusal room;  ///< what leavesRoom() says
     std::vector<proto::Param> reconfigured;
-    std::vector<std::vector<int>> told_services;
     std::vector<Told> told;
     std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;

@@ -3,37 +3,13 @@
 
 #include <algorithm>
 #include <chrono>
-#include <set>
 #include <utility>
 
 #include "common/planted_bug.hpp"
 #include "entity_manager/core/kept_identity.hpp"
-#include "messages/text.hpp"
 #include "messages/values.hpp"
 
 namespace axon::entity_manager {
-
-namespace {
-
-constexpr std::size_t kReadOfStrangers = 16 * 1024;
-const Refusal kTooLargeForLink{RefusalCode::TooLarge,
-                               "It is larger than the link to the robot application takes at once (1 MiB). "
-                               "Send it in parts, or upload a resource.",
-                               {}};
-
-/// Which request it is. Quit, which no client can ask for: none, such as the messages of a run that are no
-/// requests (Teamwork::hear()), and those of a front-end server or of the direct path.
-Event eventOf(const proto::ToEntity& body) {
-#define AXON_FACT(name)
-#define AXON_REQUEST(name, needs, wish, is, refuse) \
-    if (is) return Event::name;
-#include "entity_manager/core/turn/events.def"
-#undef AXON_FACT
-#undef AXON_REQUEST
-    return Event::Quit;
-}
-
-}  // namespace
 
 EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock,
                                      RandomSource& random, BackEndPort& back_end, ServerPort& server,
@@ -47,6 +23,7 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       uuid_(loadUuid(storage, random, settings_.uuid)),
       latch_(storage, parts_lost_),
       journal_(*this, journal),
+      readiness_(settings_.application),
       presence_(
           *this, server,
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
@@ -85,7 +62,7 @@ void EntityManagerCore::fire(Incident& incident) {
     if (row->next.kind == Next::Kind::To) state_ = row->next.state;
     if (row->next.kind == Next::Kind::Previous) state_ = previous_;
     if (state_ == EntityState::BUSY && before != EntityState::BUSY) previous_ = before;
-    if (state_ != before && state_ != EntityState::UNAV && state_ != EntityState::ERR) reason_.clear();
+    if (state_ != before) readiness_.stateIs(state_);
     for (const auto action : row->actions) perform(action, incident);
 }
 
@@ -199,7 +176,7 @@ void EntityManagerCore::start() {
 
 void EntityManagerCore::onApplicationSought(const std::string& finding) {
     if (quit_ || link_up_) return;
-    sought_ = finding;
+    readiness_.sought(finding);
     tellStatus();
 }
 
@@ -207,7 +184,7 @@ void EntityManagerCore::onLinkUp() {
     if (quit_) return;
     if (link_up_) onLinkDown("the robot application has connected again", LinkEnd::Closed);
     link_up_ = true;
-    sought_.clear();
+    readiness_.sought({});
     stops_.linkUp();
     profiles_.linkUp();
     streams_.linkUp();
@@ -221,9 +198,9 @@ void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
     if (quit_) return;
     stops_.linkDown(reason, end);
     link_up_ = false;
-    sought_.clear();
+    readiness_.sought({});
     profiles_.linkDown();
-    reason_ = "the link to the robot application is down: " + reason;
+    readiness_.notReady("the link to the robot application is down: " + reason);
     Incident incident{end == LinkEnd::GoodBye ? Event::LinkEnded : Event::LinkDown};
     incident.cause = StopCause::LinkLost;
     incident.reason = {RefusalCode::Unavailable, "The link to the robot application was lost: " + reason, {}};
@@ -278,29 +255,15 @@ void EntityManagerCore::hear(proto::EiToEm& message) {
         case proto::EiToEm::kPosition:
             presence_.positionIs(message.position());
             break;
-        case proto::EiToEm::kText: {
-            if (holder() == nullptr) {
-                ++counters_.undelivered;
-                break;
-            }
-            proto::ToClient text;
-            text.mutable_text()->mutable_text()->swap(*message.mutable_text()->mutable_text());
-            tell(*holder(), kMsgText, text);
+        case proto::EiToEm::kText:
+            holder_channel_.textCame(*message.mutable_text());
             break;
-        }
-        case proto::EiToEm::kRaw: {
-            if (!message.raw().to().empty()) {
+        case proto::EiToEm::kRaw:
+            if (!message.raw().to().empty())
                 teamwork_.sendRaw(*message.mutable_raw());
-                break;
-            }
-            if (holder() == nullptr || !connected()) {
-                ++counters_.undelivered;
-                break;
-            }
-            raw_to_client_.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
-            tellDroppable(*holder(), kMsgRaw, raw_to_client_);
+            else
+                holder_channel_.rawCame(*message.mutable_raw());
             break;
-        }
         case proto::EiToEm::kSample:
             streams_.pass(*message.mutable_sample());
             break;
@@ -333,19 +296,6 @@ void EntityManagerCore::onStored() {
     settle();
 }
 
-/// With the records that have changed those of the composites that show what is theirs.
-void EntityManagerCore::tellServices(const std::vector<int>& services) {
-    if (holder() == nullptr || !connected()) return;
-    std::set<int> changed(services.begin(), services.end());
-    for (const auto service : services)
-        changed.insert(profiler_.compositesWith(service).begin(), profiler_.compositesWith(service).end());
-    for (const auto service : changed) {
-        proto::ToClient message;
-        *message.mutable_service() = profiler_.record(service);
-        tell(*holder(), kMsgService, message);
-    }
-}
-
 void EntityManagerCore::seekServer() {
     presence_.seek();
     if (connected() && state_ == EntityState::ENVCONN) fire(serverUpEvent());
@@ -373,17 +323,6 @@ void EntityManagerCore::serverLost(const std::string& reason) {
     fire(incident);
 }
 
-/// Why an entity in UNAV, INIT or ERR is there; empty in the other states, and in INIT as long as all goes
-/// well.
-std::string EntityManagerCore::whyNotReady() const {
-    if (state_ == EntityState::UNAV) {
-        if (reason_.empty() && sought_.empty())
-            return "waiting for the robot application " + inQuotes(settings_.application);
-        return reason_ + (reason_.empty() || sought_.empty() ? "" : "; ") + sought_;
-    }
-    return state_ == EntityState::INIT || state_ == EntityState::ERR ? reason_ : std::string();
-}
-
 EntityStatus EntityManagerCore::status() const {
     EntityStatus status;
     status.entity = uuid_;
@@ -409,6 +348,11 @@ void EntityManagerCore::stopApplication(Incident& incident) {
     incident.generation = stops_.order(incident.cause, incident.event != Event::Reset);
     tasks_.restamp();
     if (incident.event != Event::Reset) tasks_.applicationStopped();
+    noteStop(incident);
+}
+
+void EntityManagerCore::noteStop(const Incident& incident) {
+    if (AXON_PLANTED(StopNotInTheJournal)) return;
     journal_.note({.kind = JournalRecord::Kind::Stopped,
                    .generation = incident.generation,
                    .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
@@ -426,12 +370,7 @@ void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::u
     incident.reason = {
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
     tasks_.applicationStopped();
-    if (!AXON_PLANTED(StopNotInTheJournal))
-        journal_.note({.kind = JournalRecord::Kind::Stopped,
-                       .generation = generation,
-                       .who = named(head.sender),
-                       .code = toString(cause),
-                       .text = incident.reason.message});
+    noteStop(incident);
     fire(incident);
     settle();
 }
@@ -442,7 +381,7 @@ void EntityManagerCore::onDrill(const Header& head, std::uint32_t number) {
 }
 
 void EntityManagerCore::onSignal(Event event, const Header& head) {
-    if (quit_ || passed_.seen(head)) return;
+    if (quit_ || passed_signals_.seen(head)) return;
     process(event, rightOfSignal(event == Event::Reset ? kResetOperation : kClearOperation).who, head,
             nullptr);
     settle();
@@ -507,67 +446,20 @@ void EntityManagerCore::granted(Incident& granted) {
 
 void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) {
     if (quit_) return;
-    // What is large takes its time to be read, in which nothing else is done: only of who holds the entity,
-    // or its fellows.
-    if (bytes.size() > kReadOfStrangers && head.msg_type != kMsgCollaboration &&
-        !teamwork_.isPartner(head.sender.id)) {
-        if (auto refusal = checkLease(head.sender, head.held); !refusal.ok()) {
-            refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) +
-                              " KiB is not read. " + refusal.message;
-            return reply(head.sender, {}, refusal);
-        }
-    }
-    if (!from_client_.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
-        ++counters_.malformed;
-        reply(head.sender, {},
-              {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
-        return;
-    }
-    const auto* right = rightOf(from_client_.body_case());
-    const auto event = eventOf(from_client_);
-    if (right == nullptr) {
-        reply(head.sender, {},
-              {RefusalCode::NotSupported,
-               "The Entity Manager does not know this kind of request. Is the client newer than it?",
-               {}});
-        return;
-    }
-    // By the header alone servers and both ends of a direct path know what it is. Nor does a run's message
-    // come by such a path.
-    const bool of_run = right->peers == Peers::OfRun && right->who == Who::Nobody;
-    if (head.msg_type != right->msg_type ||
-        (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
-        ++counters_.malformed;
-        const Refusal refusal{RefusalCode::Malformed,
-                              "The header's msgType is " + inQuotes(head.msg_type) + ", and the message is " +
-                                  std::string(right->body) + ", which has \"" + std::string(right->msg_type) +
-                                  '"' + (of_run ? " and is for entities to say." : "."),
-                              {}};
-        if (isRequest(event) && !of_run) {
-            refuse({event, &head, &from_client_}, refusal);
-        } else {
-            reply(head.sender, {}, refusal);
-        }
-        return;
-    }
-    if (teamwork_.hear(head, from_client_)) {
+    const auto request = reader_.read(head, bytes, teamwork_.isPartner(head.sender.id));
+    if (!request) return;
+    if (teamwork_.hear(head, *request->body)) {
         settle();
         return;
     }
+    const auto event = request->event;
     if (event == Event::Quit) {
-        const bool control = from_client_.has_task_control();
-        auto refusal = right->who == Who::Holder ? checkLease(head.sender, head.held) : Refusal{};
-        if (refusal.ok())
-            refusal = {control ? RefusalCode::Malformed : RefusalCode::NotSupported,
-                       control ? "The action must be PAUSE, RESUME or CANCEL."
-                               : "This is no request to an Entity Manager.",
-                       {}};
-        reply(head.sender, control ? from_client_.task_control().task_id() : std::string(), refusal);
+        reader_.refuseOther(head, *request);
         return;
     }
     // What is over must not win because its timer is late.
     if (event == Event::CheckOut || event == Event::HandOver) ownership_.onTimer();
-    process(event, right->who, head, &from_client_);
+    process(event, request->right->who, head, request->body);
     if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
 }
 
@@ -633,29 +525,6 @@ void EntityManagerCore::refuse(const Incident& incident, const Refusal& refusal)
     }
 }
 
-/// A stream of raw data is not answered with a stream of refusals.
-void EntityManagerCore::refuseRaw(const Sender& to, const Refusal& refusal) {
-    ++counters_.raw_refused;
-    if (clock_.now() < raw_refused_ + kRawRefusalPeriod) return;
-    raw_refused_ = clock_.now();
-    reply(to, {}, refusal);
-}
-
-void EntityManagerCore::passText(const Incident& incident) {
-    proto::EmToEi message;
-    message.mutable_text()->mutable_text()->swap(*incident.body->mutable_text()->mutable_text());
-    message.mutable_text()->set_from(incident.head->sender.name);
-    if (!back_end_.send(message)) refuse(incident, kTooLargeForLink);
-}
-
-void EntityManagerCore::passRaw(const Incident& incident) {
-    auto& raw = *raw_to_link_.mutable_raw();
-    raw.mutable_data()->Swap(incident.body->mutable_raw()->mutable_data());
-    if (raw.from() != incident.head->sender.name) raw.set_from(incident.head->sender.name);
-    raw.set_stop_generation(stops_.generation());
-    if (!back_end_.send(raw_to_link_)) refuse(incident, kTooLargeForLink);
-}
-
 void EntityManagerCore::answerStatus(const Incident& incident) {
     proto::ToClient message;
     auto& status = *message.mutable_status();
@@ -674,17 +543,7 @@ void EntityManagerCore::answerStatus(const Incident& incident) {
         for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
     }
     tasks_.describe(status);
-    auto margins = back_end_.margins();
-    if (auto margin = presence_.margin()) margins.insert(margins.begin(), std::move(*margin));
-    for (const auto& [hop, gap] : margins) {
-        if (gap.allowed == Duration{}) continue;
-        auto& margin = *status.add_watchdogs();
-        margin.set_hop(hop);
-        margin.set_timeout_ms(
-            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.allowed).count()));
-        margin.set_longest_gap_ms(
-            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
-    }
+    presence_.describeWatchdogs(back_end_.margins(), status);
     if (holder() != nullptr && holder()->id == incident.head->sender.id)
         for (auto& ended : memory_.finals(held()->number)) status.add_ended()->Swap(&ended);
     tell(incident.head->sender, kMsgStatus, message);
@@ -705,7 +564,7 @@ TimePoint EntityManagerCore::nextDeadline() const {
 
 void EntityManagerCore::shutDown() {
     if (quit_) return;
-    reason_ = "the Entity Manager has been ended by its operator";
+    readiness_.notReady("the Entity Manager has been ended by its operator");
     Incident incident{Event::Quit};
     incident.cause = StopCause::Shutdown;
     incident.reason = {RefusalCode::Unavailable, "The Entity Manager has been ended by its operator.", {}};

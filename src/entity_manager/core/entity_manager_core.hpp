@@ -4,7 +4,6 @@
 #include <axon/messages.pb.h>
 
 #include <algorithm>
-#include <array>
 #include <cstdint>
 #include <string>
 #include <string_view>
@@ -21,10 +20,14 @@
 #include "entity_manager/core/ownership/ownership.hpp"
 #include "entity_manager/core/presence/presence.hpp"
 #include "entity_manager/core/presence/profiles.hpp"
+#include "entity_manager/core/presence/readiness.hpp"
+#include "entity_manager/core/request_reader.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
 #include "entity_manager/core/stops/latch.hpp"
+#include "entity_manager/core/stops/passed_signals.hpp"
 #include "entity_manager/core/stops/stop_ledger.hpp"
+#include "entity_manager/core/streams/holder_channel.hpp"
 #include "entity_manager/core/streams/streams.hpp"
 #include "entity_manager/core/tasks/tasks.hpp"
 #include "entity_manager/core/turn/incident.hpp"
@@ -158,18 +161,18 @@ class EntityManagerCore final : private Turn {
 
     // States, profiles, server.
     void profilesAreGood(const proto::BasicProfile& basic) override;
-    void tellServices(const std::vector<int>& services) override;
     void seekServer();
     /// A lease that outlived the session with the server is found again.
     Event serverUpEvent() const {
         return held() != nullptr && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
     }
-    std::string whyNotReady() const;
+    std::string whyNotReady() const { return readiness_.whyNot(state_); }
     void tellStatus() override;
     void serverLost(const std::string& reason) override;
 
     // Stop.
     void stopApplication(Incident& incident);
+    void noteStop(const Incident& incident);
     void acknowledge(const Incident& incident);
     void deliverStops();
 
@@ -189,7 +192,7 @@ class EntityManagerCore final : private Turn {
                   const proto::ToEntity& message) override;
     void warn(std::string text) override { warning_ = std::move(text); }
     void tellNews(std::string text) override { news_ = std::move(text); }
-    void notReady(std::string why) override { reason_ = std::move(why); }
+    void notReady(std::string why) override { readiness_.notReady(std::move(why)); }
     void lookAgain() override { profiles_.lookAgain(); }
     void takeKeptProfiles() override { profiles_.takeKept(); }
     Stops stops() const override {
@@ -225,9 +228,6 @@ class EntityManagerCore final : private Turn {
         reply(to, request_id, refusal, Lane::Data);
     }
     void refuse(const Incident& incident, const Refusal& refusal) override;
-    void refuseRaw(const Sender& to, const Refusal& refusal);
-    void passText(const Incident& incident);
-    void passRaw(const Incident& incident);
     void answerStatus(const Incident& incident);
     Header headFor(const Sender& to, const char* type);
 
@@ -239,14 +239,12 @@ class EntityManagerCore final : private Turn {
     std::string uuid_;
     Latch latch_;
     JournalWriter journal_;
+    Readiness readiness_;
 
     EntityState state_ = EntityState::UNAV;
     EntityState previous_ = EntityState::REG;  ///< where BUSY returns to
     bool link_up_ = false;
     bool quit_ = false;
-    std::string reason_;
-    std::string sought_;  ///< in UNAV: what the search for the application has found instead
-
     std::string warning_, news_;
 
     Presence presence_;
@@ -260,27 +258,12 @@ class EntityManagerCore final : private Turn {
     Teamwork teamwork_;
     Inputs inputs_;
     Streams streams_{*this};
-    TimePoint raw_refused_{};
+    HolderChannel holder_channel_{*this};
+    RequestReader reader_{*this};
 
-    /// The resets and clears that were taken last. Between servers each goes two ways, and the second one,
-    /// late, would end the next task.
-    struct PassedSignals {
-        bool seen(const Header& head) {
-            if (head.sequence <= 0) return false;
-            const std::pair key{head.sender.id, head.sequence};
-            if (std::find(recent.begin(), recent.end(), key) != recent.end()) return true;
-            recent[next++ % recent.size()] = key;
-            return false;
-        }
-        std::array<std::pair<std::string, std::int64_t>, 32> recent;
-        std::size_t next = 0;
-    };
-    PassedSignals passed_;
+    PassedSignals passed_signals_;
 
     std::int64_t sequence_ = 0;
-    proto::ToEntity from_client_;  ///< kept for its memory
-    proto::EmToEi raw_to_link_;
-    proto::ToClient raw_to_client_;
     CoreCounters counters_;
 };
 

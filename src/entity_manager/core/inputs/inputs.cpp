@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "entity_manager/core/services/message_size.hpp"
+#include "entity_manager/core/services/tell_services.hpp"
 #include "entity_manager/ports/core_settings.hpp"
 #include "messages/values.hpp"
 
@@ -107,7 +108,7 @@ void Inputs::answered(const proto::RequestAnswer& answer) {
             RefusalCode::RevokedLease, "The lease ended before the robot application had answered.", {}};
     if (refusal.ok()) refusal = keepParameter(question);
     conclude(question, refusal);
-    if (refusal.ok()) turn_.tellServices({question.service});
+    if (refusal.ok()) tellServices(turn_, profiler_, {question.service});
 }
 
 Refusal Inputs::keepParameter(const Question& question) {
@@ -213,7 +214,7 @@ void Inputs::uploadProgress(const UploadDesk::Upload& upload, const Result<Uploa
         profiler_.storeResource(place->first, place->second, progress->path, upload.offer.sha256(),
                                 upload.offer.size());
     sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), {});
-    if (place) turn_.tellServices({place->first});
+    if (place) tellServices(turn_, profiler_, {place->first});
 }
 
 void Inputs::askResource(const UploadDesk::Upload& upload, const std::string& path) {

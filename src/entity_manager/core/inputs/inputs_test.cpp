@@ -74,7 +74,8 @@ TEST_F(TheInputs, AValueCountsOnceTheApplicationHasGrantedIt) {
     EXPECT_EQ(valueOf(0), 5);
     ASSERT_EQ(turn.replies.size(), 1U);
     EXPECT_TRUE(turn.replies[0].ok());
-    EXPECT_EQ(turn.told_services, (std::vector<std::vector<int>>{{0}}));
+    ASSERT_EQ(turn.told.size(), 1U);
+    EXPECT_EQ(turn.told[0].message.service().name(), "Driving") << "its holder is told";
     answer();
     EXPECT_EQ(turn.counted.unexpected, 1U) << "a second answer is to nothing";
 }

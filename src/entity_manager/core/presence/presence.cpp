@@ -2,6 +2,7 @@
 #include "entity_manager/core/presence/presence.hpp"
 
 #include <axon/link.pb.h>
+#include <axon/messages.pb.h>
 
 #include <algorithm>
 #include <chrono>
@@ -96,6 +97,19 @@ TimePoint Presence::nextDeadline() const {
 std::optional<HopMargin> Presence::margin() const {
     if (!up_) return std::nullopt;
     return HopMargin{"entity manager watches server", signs_.longest(turn_.now())};
+}
+
+void Presence::describeWatchdogs(std::vector<HopMargin> others, proto::EntityStatus& status) const {
+    if (auto own = margin()) others.insert(others.begin(), std::move(*own));
+    for (const auto& [hop, gap] : others) {
+        if (gap.allowed == Duration{}) continue;
+        auto& margin = *status.add_watchdogs();
+        margin.set_hop(hop);
+        margin.set_timeout_ms(
+            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.allowed).count()));
+        margin.set_longest_gap_ms(
+            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
+    }
 }
 
 void Presence::profileIs(proto::BasicProfile profile) {

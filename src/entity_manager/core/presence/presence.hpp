@@ -4,6 +4,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "common/life_signs.hpp"
 #include "common/routed.hpp"
@@ -12,8 +13,9 @@
 #include "entity_manager/ports/ports.hpp"
 
 namespace axon::proto {
+class EntityStatus;
 class PositionNote;
-}
+}  // namespace axon::proto
 
 namespace axon::entity_manager {
 
@@ -49,6 +51,8 @@ class Presence final : public Owner {
     TimePoint nextDeadline() const override;
     /// The longest silence of late; nothing without a session.
     std::optional<HopMargin> margin() const;
+    /// With those of `others`, its own before them.
+    void describeWatchdogs(std::vector<HopMargin> others, proto::EntityStatus& status) const;
 
     // What the server knows.
 

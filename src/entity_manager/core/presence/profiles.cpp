@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "common/utf8.hpp"
+#include "entity_manager/core/services/tell_services.hpp"
 #include "entity_manager/ports/core_settings.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -86,7 +87,7 @@ void Profiles::activeIs(const proto::ServiceActive& told) {
     if (active_told_.size() < kActiveTold || active_told_.contains(told.service()))
         active_told_[told.service()] = {told.active(), reason};
     if (const auto service = profiler_.setActive(told.service(), told.active(), std::move(reason)))
-        turn_.tellServices({service.value()});
+        tellServices(turn_, profiler_, {service.value()});
     else
         ++turn_.count().unexpected;
 }
@@ -168,7 +169,7 @@ void Profiles::lookAgain() {
 
 void Profiles::takeLook() {
     if (!located_again_ || !located_again_->ready()) return;
-    turn_.tellServices(profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
+    tellServices(turn_, profiler_, profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
 }
 
 /// What is missing, where an entity would wait in INIT for ever without a word: an application has uploaded

@@ -94,8 +94,11 @@ TEST_F(TheProfiles, AServiceThatIsOffStaysOffWhenTheProfileIsReadAnew) {
     proto::ServiceActive off;
     off.set_service(profiler.record(0).name());
     off.set_active(false);
+    turn.lease.emplace().holder.id = "client";
     profiles.activeIs(off);
-    EXPECT_EQ(turn.told_services, (std::vector<std::vector<int>>{{0}}));
+    ASSERT_FALSE(turn.told.empty());
+    EXPECT_EQ(turn.told[0].message.service().name(), off.service())
+        << "its holder is told, of composites too";
     upload(true, test::kRigServicesProfile);
     EXPECT_FALSE(profiler.record(0).is_active());
 

@@ -9,6 +9,7 @@
 #include "collaboration/collaboration.hpp"
 #include "common/planted_bug.hpp"
 #include "entity_manager/core/services/message_size.hpp"
+#include "entity_manager/core/services/tell_services.hpp"
 #include "entity_manager/ports/core_settings.hpp"
 #include "entity_manager/ports/journal_record.hpp"
 #include "messages/text.hpp"
@@ -186,7 +187,7 @@ Refusal Tasks::missingFiles(const Task& task) {
                        inQuotes(service) + " (" + resource.url() + ')';
             changed.push_back(part.service);
         }
-    turn_.tellServices(changed);
+    tellServices(turn_, profiler_, changed);
     return {RefusalCode::MissingDependency,
             "The file of a resource is no longer on the robot's machine: " +
                 (missing.empty() ? absent.front() : missing) + ". Upload it again, then send the task again.",
@@ -385,7 +386,7 @@ void Tasks::leaveService(const Task& task, bool clear) {
     const auto cleared = profiler_.clearAfterTask(task.plan);
     for (const auto& [service, resource] : cleared.files)
         turn_.removeResource(profiler_.record(service).name(), resource);
-    turn_.tellServices(cleared.changed);
+    tellServices(turn_, profiler_, cleared.changed);
 }
 
 void Tasks::voidQueue(const Incident& incident) {

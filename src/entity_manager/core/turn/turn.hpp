@@ -133,8 +133,6 @@ class Turn {
     virtual Refusal leavesRoom(int service, const proto::Param& param) const = 0;
     /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
     virtual void reconfigure(int service, const proto::Param& param) = 0;
-    /// Tells the holder the records of services that have changed.
-    virtual void tellServices(const std::vector<int>& services) = 0;
 
     // What whoever holds the entity means for its tasks.
     /// Whether a task goes on to its end while its client is lost.
