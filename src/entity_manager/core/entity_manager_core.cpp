@@ -25,17 +25,18 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       journal_(*this, journal),
       readiness_(settings_.application),
       presence_(
-          *this, server,
+          *this, server, [this](const std::string& why) { serverLost(why); },
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
-      ownership_(*this, journal_, storage, random, profiler_,
+      ownership_(*this, *this, journal_, storage, random, profiler_,
                  {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_counter, back_end),
-      tasks_(*this, journal_, back_end, resources, stop_counter, random, profiler_, memory_,
+      tasks_(*this, *this, journal_, back_end, resources, stop_counter, random, profiler_, memory_,
              {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
-      profiles_(*this, resources, profiler_, {uuid_, settings_.application, settings_.profiles_within}),
-      teamwork_(*this, journal_, storage, random, profiler_, memory_,
+      profiles_(*this, *this, readiness_, resources, profiler_,
+                {uuid_, settings_.application, settings_.profiles_within}),
+      teamwork_(*this, *this, journal_, storage, random, profiler_, memory_,
                 {uuid_, settings_.server_watchdog_busy}),
-      inputs_(*this, storage, resources, profiler_,
+      inputs_(*this, *this, storage, resources, profiler_,
               {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
     if (parts_lost_) {
         warning_ =

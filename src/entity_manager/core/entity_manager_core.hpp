@@ -51,8 +51,13 @@ namespace axon::entity_manager {
 /// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 ///
 /// It finds the row of each event in the state table and passes each action on to whichever part of the state
-/// it is about (actions.def); the parts see each other through Turn alone.
-class EntityManagerCore final : private Turn {
+/// it is about (actions.def); the parts see each other through Turn and their Others alone.
+class EntityManagerCore final : private Turn,
+                                private Ownership::Others,
+                                private Tasks::Others,
+                                private Teamwork::Others,
+                                private Profiles::Others,
+                                private Inputs::Others {
   public:
     /// Without a journal a task id is known for this life only.
     EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -168,7 +173,7 @@ class EntityManagerCore final : private Turn {
     }
     std::string whyNotReady() const { return readiness_.whyNot(state_); }
     void tellStatus() override;
-    void serverLost(const std::string& reason) override;
+    void serverLost(const std::string& reason);
 
     // Stop.
     void stopApplication(Incident& incident);
@@ -192,7 +197,6 @@ class EntityManagerCore final : private Turn {
                   const proto::ToEntity& message) override;
     void warn(std::string text) override { warning_ = std::move(text); }
     void tellNews(std::string text) override { news_ = std::move(text); }
-    void notReady(std::string why) override { readiness_.notReady(std::move(why)); }
     void lookAgain() override { profiles_.lookAgain(); }
     void takeKeptProfiles() override { profiles_.takeKept(); }
     Stops stops() const override {

@@ -27,9 +27,10 @@ Refusal unanswered(Duration within) {
 
 }  // namespace
 
-Inputs::Inputs(Turn& turn, Storage& storage, ResourceStore& store, ServiceProfiler& profiler,
+Inputs::Inputs(Turn& turn, Others& others, Storage& storage, ResourceStore& store, ServiceProfiler& profiler,
                Settings settings)
     : turn_(turn),
+      others_(others),
       store_(store),
       profiler_(profiler),
       settings_(settings),
@@ -117,7 +118,7 @@ Refusal Inputs::keepParameter(const Question& question) {
     if (config) {
         // It reaches what runs now, which may have begun after a stop that came before the answer, or go on
         // alone.
-        if (auto refusal = turn_.checkGeneration(static_cast<std::int32_t>(question.generation));
+        if (auto refusal = others_.checkGeneration(static_cast<std::int32_t>(question.generation));
             !refusal.ok())
             return refusal;
         if (turn_.orphaned())
@@ -125,12 +126,13 @@ Refusal Inputs::keepParameter(const Question& question) {
                     "The client was lost before the robot application had answered.",
                     {}};
         if (auto refusal = saved_.mayKeepConfig(record.name(), question.param); !refusal.ok()) return refusal;
-        if (auto refusal = turn_.leavesRoom(question.service, question.param); !refusal.ok()) return refusal;
+        if (auto refusal = others_.leavesRoom(question.service, question.param); !refusal.ok())
+            return refusal;
     }
     profiler_.storeParam(question.service, question.param);
     if (const auto param = findParamIndex(record, question.param.name()))
         saved_.set(record.name(), record.params(param.value()), question.param);
-    if (config) turn_.reconfigure(question.service, question.param);
+    if (config) others_.reconfigure(question.service, question.param);
     return {};
 }
 

@@ -61,9 +61,14 @@ std::string because(const std::string& reason) {
 
 }  // namespace
 
-Ownership::Ownership(Turn& turn, JournalWriter& journal, Storage& storage, RandomSource& random,
-                     const ServiceProfiler& profiler, const Settings& settings)
-    : turn_(turn), journal_(journal), profiler_(profiler), settings_(settings), lease_(storage, random) {}
+Ownership::Ownership(Turn& turn, Others& others, JournalWriter& journal, Storage& storage,
+                     RandomSource& random, const ServiceProfiler& profiler, const Settings& settings)
+    : turn_(turn),
+      others_(others),
+      journal_(journal),
+      profiler_(profiler),
+      settings_(settings),
+      lease_(storage, random) {}
 
 void Ownership::considerCheckOut(const Incident& incident) {
     const auto& request = incident.body->check_out();
@@ -291,7 +296,7 @@ void Ownership::resume(const Incident& incident) {
         Incident lost{Event::ClientLost};
         lost.cause = StopCause::ClientLost;
         lost.reason = {RefusalCode::ClientLost, named(before.holder) + " has connected anew.", {}};
-        turn_.loseHolder(lost);
+        others_.loseHolder(lost);
         sendLeaseEnded(before,
                        {RefusalCode::RevokedLease,
                         named(sender) + " has resumed the lease from another session.", named(sender)});
@@ -339,7 +344,7 @@ void Ownership::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
     taken_.clear();
     journal_.note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
                    .who = named(claim.client)});
-    turn_.granted(granted);
+    others_.granted(granted);
     if (resumes && hand_over_.open()) tellQuestion(*hand_over_.open(), false);
 }
 
@@ -432,7 +437,7 @@ void Ownership::endWaits() {
         grantWhenStanding(std::move(waiting.claim), waiting.phase);
     }
     if (mayEndGrace() && turn_.now() >= *lease_.held()->grace_until) {
-        turn_.endSpared(orphan_reason_.message);  // held for as long as somebody could come back
+        others_.endSpared(orphan_reason_.message);  // held for as long as somebody could come back
         Incident expired{Event::LeaseExpired};
         expired.cause = StopCause::Released;  // the loss itself has stopped and latched; this ends the lease
         expired.reason = orphan_reason_;
@@ -448,7 +453,7 @@ void Ownership::endWaits() {
 
 void Ownership::passOn() {
     endWaits();
-    turn_.takeKeptProfiles();
+    others_.takeKeptProfiles();
     if (turn_.state() == EntityState::IDLE && !waiting_grant_ && !lease_.reservation()) {
         // Who asked for this very lease is before those who wait for any: its end answers the question.
         if (const auto question = hand_over_.take())
@@ -462,7 +467,7 @@ void Ownership::passOn() {
 /// Tasks that outlive the loss of their client hold up the end of its lease, and so does a holder that is
 /// back and waits for the robot to stand still.
 bool Ownership::mayEndGrace() const {
-    return lease_.orphaned() && !turn_.finishesAlone() &&
+    return lease_.orphaned() && !others_.finishesAlone() &&
            !(waiting_grant_ && waiting_grant_->phase == proto::RESUME_LEASE);
 }
 

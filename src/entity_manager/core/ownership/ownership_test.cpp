@@ -14,6 +14,18 @@ namespace {
 
 using namespace std::chrono_literals;
 
+/// What tasks and profiles would do.
+struct NotingOthers final : Ownership::Others {
+    explicit NotingOthers(test::FakeTurn& turn) : turn(turn) {}
+    bool finishesAlone() const override { return task_finishes_alone; }
+    void loseHolder(Incident& lost) override { turn.fire(lost); }
+    void endSpared(const std::string&) override {}
+    void granted(Incident& granted) override { turn.fire(granted); }
+    void takeKeptProfiles() override {}
+    test::FakeTurn& turn;
+    bool task_finishes_alone = false;
+};
+
 struct Ownerships : testing::Test {
     Ownerships() {
         turn.in_state = EntityState::IDLE;
@@ -65,7 +77,8 @@ struct Ownerships : testing::Test {
     test::FakeTurn turn;
     ServiceProfiler profiler;
     JournalWriter journal{turn, nullptr};
-    Ownership ownership{turn, journal, storage, random, profiler, {10s, 1000}};
+    NotingOthers others{turn};
+    Ownership ownership{turn, others, journal, storage, random, profiler, {10s, 1000}};
 };
 
 TEST_F(Ownerships, WhatIsFreeIsGrantedAndNobodyElseGetsIt) {
@@ -125,10 +138,10 @@ TEST_F(Ownerships, ALostHolderKeepsItForItsGraceAndForATaskThatGoesOnAlone) {
     lose();
     EXPECT_EQ(ownership.nextDeadline(), turn.now() + 10s);
     turn.clock.advance(10s);
-    turn.task_finishes_alone = true;
+    others.task_finishes_alone = true;
     ownership.passOn();
     EXPECT_EQ(holder(), "a");
-    turn.task_finishes_alone = false;
+    others.task_finishes_alone = false;
     ownership.passOn();
     EXPECT_EQ(turn.fired.back().event, Event::LeaseExpired);
     EXPECT_EQ(turn.fired.back().reason.code, RefusalCode::Expired);

@@ -27,9 +27,11 @@ std::int32_t fifthOf(Duration watchdog) {
 
 }  // namespace
 
-Presence::Presence(Turn& turn, ServerPort& server, const Settings& settings)
+Presence::Presence(Turn& turn, ServerPort& server, std::function<void(const std::string& why)> server_lost,
+                   const Settings& settings)
     : turn_(turn),
       server_(server),
+      server_lost_(std::move(server_lost)),
       entity_(settings.entity),
       watchdog_(settings.watchdog_busy, settings.watchdog_idle, turn.now()) {
     registration_.entity = entity_;
@@ -83,7 +85,7 @@ void Presence::onTimer() {
                    "; above that the robot stops. The network or one of the two hosts is overloaded");
     }
     if (!watchdog_.expired(now)) sendPosition();
-    if (const auto why = whySilent()) turn_.serverLost(*why);
+    if (const auto why = whySilent()) server_lost_(*why);
 }
 
 TimePoint Presence::nextDeadline() const {

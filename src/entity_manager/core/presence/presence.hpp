@@ -2,6 +2,7 @@
 #pragma once
 #include <axon/profile.pb.h>
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -32,7 +33,9 @@ class Presence final : public Owner {
         Duration watchdog_busy;
         Duration watchdog_idle;
     };
-    Presence(Turn& turn, ServerPort& server, const Settings& settings);
+    /// `server_lost`: there is no session any more, or one that counts; why.
+    Presence(Turn& turn, ServerPort& server, std::function<void(const std::string& why)> server_lost,
+             const Settings& settings);
 
     // The session.
 
@@ -75,6 +78,7 @@ class Presence final : public Owner {
 
     Turn& turn_;
     ServerPort& server_;
+    const std::function<void(const std::string& why)> server_lost_;
     const std::string entity_;
     bool up_ = false;
     bool silent_ = false;

@@ -34,8 +34,14 @@ std::string cutReason(std::string text) {
 
 }  // namespace
 
-Profiles::Profiles(Turn& turn, ResourceStore& store, ServiceProfiler& profiler, Settings settings)
-    : turn_(turn), store_(store), profiler_(profiler), settings_(std::move(settings)) {}
+Profiles::Profiles(Turn& turn, Others& others, Readiness& readiness, ResourceStore& store,
+                   ServiceProfiler& profiler, Settings settings)
+    : turn_(turn),
+      others_(others),
+      readiness_(readiness),
+      store_(store),
+      profiler_(profiler),
+      settings_(std::move(settings)) {}
 
 void Profiles::report() {
     answer({RefusalCode::Malformed, amiss_, {}});
@@ -43,7 +49,7 @@ void Profiles::report() {
 
 void Profiles::amiss(std::string why) {
     amiss_ = std::move(why);
-    turn_.notReady(amiss_);
+    readiness_.notReady(amiss_);
 }
 
 void Profiles::onStored() {
@@ -108,8 +114,9 @@ void Profiles::keep(proto::ProfileUpload& upload) {
                                           : errorsOf(readBasicProfile(upload.xml(), upload.file_name()));
     if (!errors.empty()) refusal.message += " fix: correct its errors before that.\n" + cutReason(errors);
     answer(refusal);
-    turn_.tellNews(upload.file_name() + " has changed while the entity is checked out: kept for its release" +
-                   (errors.empty() ? "" : ", and it has errors: " + cutReason(errors)));
+    others_.tellNews(upload.file_name() +
+                     " has changed while the entity is checked out: kept for its release" +
+                     (errors.empty() ? "" : ", and it has errors: " + cutReason(errors)));
     kept_[upload.services()].Swap(&upload);
 }
 
@@ -122,7 +129,7 @@ void Profiles::takeKept() {
         read(upload);
     }
     const auto news = names + ": the profile that was kept is uploaded now, at the release";
-    turn_.tellNews(news);
+    others_.tellNews(news);
     answer({RefusalCode::Ok, news, {}});
     turn_.fire(Event::KeptProfileTaken);
 }
@@ -157,7 +164,7 @@ void Profiles::takeGood() {
         [[maybe_unused]] const auto known =
             profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
-    turn_.profilesAreGood(basic_->message);
+    others_.profilesAreGood(basic_->message);
 }
 
 /// Files that the robot's owner puts in their places come without a word.
@@ -185,7 +192,7 @@ void Profiles::onTimer() {
             "are there; fix: see that the state folder and the folders of the urls can be read";
         amiss(why);
         turn_.warn(why);
-        turn_.tellStatus();
+        others_.tellStatus();
         return;
     }
     std::string missing = "the robot application " + inQuotes(settings_.application) + " has uploaded ";
@@ -209,7 +216,7 @@ void Profiles::onTimer() {
     amiss(missing);
     turn_.warn(missing);
     answer({RefusalCode::Malformed, missing, {}});
-    turn_.tellStatus();
+    others_.tellStatus();
 }
 
 TimePoint Profiles::nextDeadline() const {

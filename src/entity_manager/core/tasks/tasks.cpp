@@ -29,10 +29,11 @@ constexpr double kLongestNotAfter_s = 1e6;
 
 }  // namespace
 
-Tasks::Tasks(Turn& turn, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
+Tasks::Tasks(Turn& turn, Others& others, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
              StopCounter& stop_counter, RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory,
              Settings settings)
     : turn_(turn),
+      others_(others),
       journal_(journal),
       back_end_(back_end),
       store_(store),
@@ -44,7 +45,7 @@ Tasks::Tasks(Turn& turn, JournalWriter& journal, BackEndPort& back_end, Resource
       queue_(settings.queue_bound) {}
 
 void Tasks::consider(const Incident& incident) {
-    if (turn_.isReserved()) {
+    if (others_.isReserved()) {
         turn_.refuse(
             incident,
             {RefusalCode::WrongState,
@@ -67,7 +68,7 @@ Refusal Tasks::admit(const proto::TaskRequest& request, std::int64_t sent_at_us)
     if (const auto refusal = queue_.mayPush(); !refusal.ok()) return refusal;
     auto plan = profiler_.prepare(request.service(), request.params());
     if (!plan && plan.refusal().code == RefusalCode::MissingDependency && profiler_.hasUrls()) {
-        turn_.lookAgain();  // for this task where the disk answers at once, else for the next
+        others_.lookAgain();  // for this task where the disk answers at once, else for the next
         plan = profiler_.prepare(request.service(), request.params());
     }
     if (!plan) return plan.refusal();
@@ -385,7 +386,7 @@ void Tasks::leaveService(const Task& task, bool clear) {
     if (!clear) return;
     const auto cleared = profiler_.clearAfterTask(task.plan);
     for (const auto& [service, resource] : cleared.files)
-        turn_.removeResource(profiler_.record(service).name(), resource);
+        others_.removeResource(profiler_.record(service).name(), resource);
     tellServices(turn_, profiler_, cleared.changed);
 }
 
@@ -481,7 +482,7 @@ void Tasks::sendTask(const Task& task, proto::TaskState state, const Refusal& re
 }
 
 void Tasks::tellTask(proto::TaskEvent& event) {
-    if (turn_.tellStep(event)) return;
+    if (others_.tellStep(event)) return;
     if (turn_.holder() == nullptr || !turn_.connected()) return;
     proto::ToClient message;
     message.mutable_task()->Swap(&event);
