@@ -51,9 +51,6 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
 }
 
 void EntityManagerCore::fire(Incident& incident) {
-    // What runs on is no part of the run any more.
-    if (incident.event == Event::CollaborationEnded && state_ == EntityState::BUSY)
-        previous_ = EntityState::REG;
     const auto* row = findRow(state_, incident.event);
     if (row == nullptr) {
         refuse(incident, refusalFor(state_, incident.event, whyNotReady()));
