@@ -181,7 +181,7 @@ void Inputs::carryResource(const Incident& incident) {
         named.set_service(service.name());
         named.set_resource(service.resources(place->second).name());
         const auto progress =
-            uploads_.offer(named, place->first, place->second, to, turn_.held()->owner, turn_.now());
+            uploads_.offer(named, place->first, place->second, to, turn_.held()->taken_by, turn_.now());
         if (!progress)
             turn_.refuse(incident, progress.refusal());
         else if (const auto* upload = uploads_.find(offer.transfer_id()))
