@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "entity_manager/core/entity_manager_core.hpp"
+#include "entity_manager/storage/file_resources.hpp"
 #include "entity_manager/storage/file_storage.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"

@@ -197,7 +197,7 @@ void EntityManager::clientMsg(Lane lane, Header head, std::string bytes) {
     auto event = [this, head = std::move(head), bytes = std::move(bytes)] {
         handleRelayed(direct::Keeping::Kept, head, bytes);
     };
-    wake(inbox_.pushControl(std::move(event), size), Turn::Here);
+    wake(inbox_.pushControl(std::move(event), size), RunOn::Here);
 }
 
 void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
@@ -207,7 +207,7 @@ void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
                  handleRelayed(direct::Keeping::Droppable, head, bytes);
              },
              size),
-         Turn::Here);
+         RunOn::Here);
 }
 
 void EntityManager::handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes) {
@@ -225,7 +225,7 @@ void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal
     }
     auto event = [this, head = std::move(head), refusal] { core_->onPeerRefusal(head, refusal); };
     if (lane == Lane::Signal) return wake(passSignal(Inbox::Signal::Peer, std::move(event)));
-    wake(inbox_.pushControl(std::move(event)), Turn::Here);
+    wake(inbox_.pushControl(std::move(event)), RunOn::Here);
 }
 
 void EntityManager::serverUp() {
@@ -272,12 +272,12 @@ void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header
         if (direct_desk_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
     };
     if (keeping == direct::Keeping::Droppable)
-        return wake(inbox_.pushData(std::move(event), size), Turn::Here);
+        return wake(inbox_.pushData(std::move(event), size), RunOn::Here);
     // The holder waits; of the servers' way, where all have a share, the session would end.
     const auto push = [&] { return inbox_.pushControl(std::move(event), size, Inbox::Share::Half); };
     auto verdict = push();
     for (; verdict == Inbox::Verdict::Overflow; verdict = push()) inbox_.awaitRoom(size);
-    wake(verdict, Turn::Here);
+    wake(verdict, RunOn::Here);
 }
 
 void EntityManager::directStop(Header head, StopCause cause) {
@@ -332,7 +332,7 @@ void EntityManager::onLinkMessage(const proto::EiToEm& message) {
     afterEvents();
 }
 
-void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
+void EntityManager::wake(Inbox::Verdict verdict, RunOn where) {
     const auto come = [weak = weak_from_this()] {
         if (const auto self = weak.lock()) self->drain();
     };
@@ -341,7 +341,7 @@ void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
         case Inbox::Verdict::Dropped:
             return;
         case Inbox::Verdict::Scheduled:
-            if (turn == Turn::Here) {
+            if (where == RunOn::Here) {
                 asio::dispatch(strand_, come);
             } else {
                 asio::post(strand_, come);

@@ -120,8 +120,8 @@ class EntityManager final : public ServerEvents,
     void onStrand(Use use);
     /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor.
     /// Signal threads never do the strand's work.
-    enum class Turn : std::uint8_t { Here, Executor };
-    void wake(Inbox::Verdict verdict, Turn turn = Turn::Executor);
+    enum class RunOn : std::uint8_t { Here, Executor };
+    void wake(Inbox::Verdict verdict, RunOn where = RunOn::Executor);
     /// An Ice thread may run it: what escaped here would be swallowed there, and leave a manager that hears
     /// nothing.
     void drain() noexcept;

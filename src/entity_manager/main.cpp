@@ -12,6 +12,7 @@
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
 #include "entity_manager/storage/file_journal.hpp"
+#include "entity_manager/storage/file_resources.hpp"
 #include "entity_manager/storage/file_storage.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/process/descriptor_limit.hpp"

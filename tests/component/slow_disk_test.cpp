@@ -20,6 +20,7 @@
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
 #include "entity_manager/storage/file_journal.hpp"
+#include "entity_manager/storage/file_resources.hpp"
 #include "entity_manager/storage/file_storage.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"

@@ -3,71 +3,13 @@
 
 #include <algorithm>
 #include <chrono>
-#include <set>
-#include <stdexcept>
 #include <utility>
 
 #include "common/planted_bug.hpp"
-#include "messages/text.hpp"
+#include "entity_manager/core/kept_identity.hpp"
 #include "messages/values.hpp"
 
 namespace axon::entity_manager {
-
-namespace {
-
-constexpr std::size_t kReadOfStrangers = 16 * 1024;
-/// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
-/// deleted on a full disk, and what is in doubt is latched.
-constexpr const char* kRearmedKey = "rearmed";
-constexpr const char* kFreeKey =
-    "free";  // its absence means that somebody holds the entity, as with kRearmedKey
-constexpr const char* kThere = "1";
-
-const Refusal kTooLargeForLink{RefusalCode::TooLarge,
-                               "It is larger than the link to the robot application takes at once (1 MiB). "
-                               "Send it in parts, or upload a resource.",
-                               {}};
-
-std::string loadUuid(Storage& storage, RandomSource& random, const std::string& given) {
-    if (const auto stored = storage.load(kUuidKey)) {
-        if (const auto id = Id128::parse(*stored)) return id->toString();
-        throw std::runtime_error("The stored value \"uuid\" is damaged: expected a UUID, found \"" +
-                                 stored->substr(0, 64) +
-                                 "\". Put the folder's backup in its place. Without one remove the folder: "
-                                 "the robot then is a new "
-                                 "entity, without saved values and resources.");
-    }
-    const auto made = given.empty() ? Id128::uuid(random).toString() : given;
-    // Before the uuid: a first life that is broken off in between leaves no latch that nobody set.
-    if (!storage.load(kGenerationKey)) {
-        storage.save(kRearmedKey, kThere);
-        storage.save(kFreeKey, kThere);
-    }
-    storage.save(kUuidKey, made);
-    return made;
-}
-
-/// Some of what every life writes at its start is there, and some is not: a disk or a person has lost it.
-bool partsAreLost(Storage& storage) {
-    if (AXON_PLANTED(EpochNotSaved) || AXON_PLANTED(GenerationsNotReserved)) return false;
-    const std::array there{storage.load(kUuidKey).has_value(), LeaseBook::isStored(storage),
-                           storage.load(kGenerationKey).has_value()};
-    return std::count(there.begin(), there.end(), there.front()) != std::ssize(there);
-}
-
-/// Which request it is. Quit, which no client can ask for: none, such as the messages of a run that are no
-/// requests (Teamwork::hear()), and those of a front-end server or of the direct path.
-Event eventOf(const proto::ToEntity& body) {
-#define AXON_FACT(name)
-#define AXON_REQUEST(name, needs, wish, is, refuse) \
-    if (is) return Event::name;
-#include "entity_manager/core/turn/events.def"
-#undef AXON_FACT
-#undef AXON_REQUEST
-    return Event::Quit;
-}
-
-}  // namespace
 
 EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock,
                                      RandomSource& random, BackEndPort& back_end, ServerPort& server,
@@ -77,127 +19,38 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       clock_(clock),
       back_end_(back_end),
       server_(server),
-      storage_(storage),
-      journal_(journal),
       parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random, settings_.uuid)),
+      latch_(storage, parts_lost_),
+      journal_(*this, journal),
+      readiness_(settings_.application),
       presence_(
-          *this, server,
+          *this, server, [this](const std::string& why) { serverLost(why); },
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
-      ownership_(*this, storage, random, profiler_, {settings_.lease_grace, settings_.resource_bytes_max}),
+      ownership_(*this, *this, journal_, storage, random, profiler_,
+                 {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_counter, back_end),
-      tasks_(*this, back_end, resources, stop_counter, random, profiler_, memory_,
+      tasks_(*this, *this, journal_, back_end, resources, stop_counter, random, profiler_, memory_,
              {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
-      profiles_(*this, resources, profiler_, {uuid_, settings_.application, settings_.profiles_within}),
-      teamwork_(*this, storage, random, profiler_, memory_, {uuid_, settings_.server_watchdog_busy}),
-      inputs_(*this, storage, resources, profiler_,
+      profiles_(*this, *this, readiness_, resources, profiler_,
+                {uuid_, settings_.application, settings_.profiles_within}),
+      teamwork_(*this, *this, journal_, storage, random, profiler_, memory_,
+                {uuid_, settings_.server_watchdog_busy}),
+      inputs_(*this, *this, storage, resources, profiler_,
               {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
-    // A person stopped the robot, and that this process was killed since is no word of a person.
-    latched_ = latch_kept_ = storage.load(kRearmedKey) != kThere;
-    // The last life was broken off while somebody held the robot, which has stopped by itself: a loss like
-    // the others.
-    if (storage.load(kFreeKey) != kThere && !AXON_PLANTED(LatchForgotten)) latched_ = true;
     if (parts_lost_) {
-        latched_ = true;
         warning_ =
             "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
             "latched; fix: look whether all commands for it are new, then rearm it";
     }
-    free_kept_ = storage.load(kFreeKey) == kThere;
     keepState();  // the latch says it now, and nobody holds it
-    replayJournal();
+    journal_.begin(memory_, ownership_.lease().last(), "entity " + uuid_);
     for (const auto& finding : inputs_.findings()) {
         if (!parts_lost_) warning_ = finding.message();
     }
 }
 
-/// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more.
-void EntityManagerCore::replayJournal() {
-    if (journal_ == nullptr || AXON_PLANTED(JournalNotRead)) return;
-    journal_->replay([this](const JournalRecord& record) {
-        if (record.kind == JournalRecord::Kind::Dispatched) memory_.dispatched(record.task);
-        if (record.kind != JournalRecord::Kind::TaskEnded) return;
-        auto state = proto::TASK_UNKNOWN;  // of a later version, perhaps
-        proto::TaskState_Parse(record.code, &state);
-        memory_.ended(record.task, state);
-    });
-    note({.kind = JournalRecord::Kind::Started,
-          .lease = ownership_.lease().last(),
-          .text = "entity " + uuid_});
-    for (const auto& id : memory_.unfinished()) {
-        memory_.ended(id, proto::TASK_UNKNOWN);
-        note({.kind = JournalRecord::Kind::TaskEnded,
-              .task = id,
-              .code = proto::TaskState_Name(proto::TASK_UNKNOWN),
-              .text = "The Entity Manager ended while it ran."});
-    }
-}
-
-void EntityManagerCore::complete(JournalRecord& record) const {
-    if (record.lease == LeaseNumber{} && held()) record.lease = held()->number;
-    if (record.generation == 0) record.generation = stops_.generation();
-    record.at_us = toMicroseconds(clock_.now());
-}
-
-bool EntityManagerCore::note(JournalRecord record) {
-    // Not read from the journal, whose line may be lost with a full disk: a deletion is not.
-    if (record.kind == JournalRecord::Kind::Granted && std::exchange(free_kept_, false))
-        storage_.forget(kFreeKey);
-    if (journal_ == nullptr) return true;
-    complete(record);
-    return recorded(journal_->append(record));
-}
-
-Later<bool> EntityManagerCore::noteDispatch(JournalRecord record) {
-    if (journal_ == nullptr) return true;
-    complete(record);
-    return journal_->appendDispatch(record);
-}
-
-bool EntityManagerCore::recorded(bool written) {
-    if (!written) ++counters_.unrecorded;
-    if (!written && !journal_failing_)
-        warning_ = "the journal cannot be written; no task begins until it can. Is the disk full?";
-    journal_failing_ = !written;
-    return written;
-}
-
-/// After the effects, so that none of them waits for the disk; a rearm that it loses leaves the latch. That
-/// the robot is free comes last: wherever the power is lost before, the next life finds it held or latched.
-void EntityManagerCore::keepState() {
-    if (latched_ != latch_kept_ && !AXON_PLANTED(LatchNotKept)) {
-        latch_kept_ = latched_;
-        if (latched_)
-            storage_.forget(kRearmedKey);
-        else
-            storage_.keep(kRearmedKey, kThere);
-    }
-    if (!free_kept_ && !held()) {
-        free_kept_ = true;
-        storage_.keep(kFreeKey, kThere);
-    }
-}
-
-void EntityManagerCore::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
-    const bool ownership =
-        (refusal.code >= RefusalCode::NotHolder && refusal.code <= RefusalCode::HandOverRefused) ||
-        refusal.code == RefusalCode::PermissionDenied;
-    if (!ownership || journal_ == nullptr) return;
-    if (!refusals_noted_.admit(clock_.now())) {
-        ++counters_.unrecorded;
-        return;
-    }
-    note({.kind = JournalRecord::Kind::Refused,
-          .lease = under,
-          .who = named(who),
-          .code = std::string(refusalName(refusal.code)),
-          .text = refusal.message});
-}
-
 void EntityManagerCore::fire(Incident& incident) {
-    // What runs on is no part of the run any more.
-    if (incident.event == Event::CollaborationEnded && state_ == EntityState::BUSY)
-        previous_ = EntityState::REG;
     const auto* row = findRow(state_, incident.event);
     if (row == nullptr) {
         refuse(incident, refusalFor(state_, incident.event, whyNotReady()));
@@ -207,7 +60,7 @@ void EntityManagerCore::fire(Incident& incident) {
     if (row->next.kind == Next::Kind::To) state_ = row->next.state;
     if (row->next.kind == Next::Kind::Previous) state_ = previous_;
     if (state_ == EntityState::BUSY && before != EntityState::BUSY) previous_ = before;
-    if (state_ != before && state_ != EntityState::UNAV && state_ != EntityState::ERR) reason_.clear();
+    if (state_ != before) readiness_.stateIs(state_);
     for (const auto action : row->actions) perform(action, incident);
 }
 
@@ -241,24 +94,30 @@ void EntityManagerCore::process(Event event, Who who, const Header& head, proto:
     fire(incident);
 }
 
+/// OK, or why a request that is the holder's is not carried out for this sender.
+Refusal EntityManagerCore::whyNotHolder(Who who, const Header& head) const {
+    const bool must_hold =
+        who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin);
+    return must_hold && !AXON_PLANTED(StrangersObeyed) ? checkLease(head.sender, head.held) : Refusal{};
+}
+
+bool EntityManagerCore::latchForbids(Event event) const {
+    return needsOf(event).not_latched && latched() && !AXON_PLANTED(LatchUnchecked);
+}
+
 Refusal EntityManagerCore::guard(Event event, Who who, const Header& head) const {
     if (who == Who::Operator && head.sender.role == Role::Observer)
         return {RefusalCode::PermissionDenied,
                 "Observers may watch and stop, but not check out. Log in as an operator.",
                 {}};
-    if (who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin)) {
-        if (auto refusal = checkLease(head.sender, head.held);
-            !refusal.ok() && !AXON_PLANTED(StrangersObeyed))
-            return refusal;
-    }
+    if (auto refusal = whyNotHolder(who, head); !refusal.ok()) return refusal;
     // An invitation shows a seal of its own (Teamwork::considerInvitation).
     if (who == Who::Nobody && event != Event::CollaborationRequest)
         return {RefusalCode::PermissionDenied, "No client may ask an entity for this.", {}};
-    const auto needs = needsOf(event);
-    if (needs.stop_generation) {
+    if (needsOf(event).stop_generation) {
         if (auto refusal = stops_.whyNot(head.stop_generation); !refusal.ok()) return refusal;
     }
-    if (needs.not_latched && latched_ && !AXON_PLANTED(LatchUnchecked))
+    if (latchForbids(event))
         return {RefusalCode::Latched,
                 "The entity has been stopped. Rearm it first; that starts nothing by itself.",
                 {}};
@@ -277,17 +136,13 @@ void EntityManagerCore::perform(Action action, Incident& incident) {
 }
 
 void EntityManagerCore::latch(const Incident& incident) {
-    // The server's stop on behalf of a client that leaves in an orderly way is not a call for help.
-    if (incident.cause == StopCause::Released && holder() != nullptr && incident.head != nullptr &&
-        holder()->id == incident.head->sender.id)
-        return;
-    if (!AXON_PLANTED(LatchForgotten)) latched_ = true;
+    if (mustLatch(incident, holder())) latch_.set();
 }
 
 void EntityManagerCore::unlatch(const Incident& incident) {
-    latched_ = false;
+    latch_.release();
     stops_.rearmed();
-    note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
+    journal_.note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
     reply(incident.head->sender, incident.body->rearm().request_id(), {});
 }
 
@@ -319,7 +174,7 @@ void EntityManagerCore::start() {
 
 void EntityManagerCore::onApplicationSought(const std::string& finding) {
     if (quit_ || link_up_) return;
-    sought_ = finding;
+    readiness_.sought(finding);
     tellStatus();
 }
 
@@ -327,7 +182,7 @@ void EntityManagerCore::onLinkUp() {
     if (quit_) return;
     if (link_up_) onLinkDown("the robot application has connected again", LinkEnd::Closed);
     link_up_ = true;
-    sought_.clear();
+    readiness_.sought({});
     stops_.linkUp();
     profiles_.linkUp();
     streams_.linkUp();
@@ -341,9 +196,9 @@ void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
     if (quit_) return;
     stops_.linkDown(reason, end);
     link_up_ = false;
-    sought_.clear();
+    readiness_.sought({});
     profiles_.linkDown();
-    reason_ = "the link to the robot application is down: " + reason;
+    readiness_.notReady("the link to the robot application is down: " + reason);
     Incident incident{end == LinkEnd::GoodBye ? Event::LinkEnded : Event::LinkDown};
     incident.cause = StopCause::LinkLost;
     incident.reason = {RefusalCode::Unavailable, "The link to the robot application was lost: " + reason, {}};
@@ -398,29 +253,15 @@ void EntityManagerCore::hear(proto::EiToEm& message) {
         case proto::EiToEm::kPosition:
             presence_.positionIs(message.position());
             break;
-        case proto::EiToEm::kText: {
-            if (holder() == nullptr) {
-                ++counters_.undelivered;
-                break;
-            }
-            proto::ToClient text;
-            text.mutable_text()->mutable_text()->swap(*message.mutable_text()->mutable_text());
-            tell(*holder(), kMsgText, text);
+        case proto::EiToEm::kText:
+            holder_channel_.textCame(*message.mutable_text());
             break;
-        }
-        case proto::EiToEm::kRaw: {
-            if (!message.raw().to().empty()) {
+        case proto::EiToEm::kRaw:
+            if (!message.raw().to().empty())
                 teamwork_.sendRaw(*message.mutable_raw());
-                break;
-            }
-            if (holder() == nullptr || !connected()) {
-                ++counters_.undelivered;
-                break;
-            }
-            raw_to_client_.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
-            tellDroppable(*holder(), kMsgRaw, raw_to_client_);
+            else
+                holder_channel_.rawCame(*message.mutable_raw());
             break;
-        }
         case proto::EiToEm::kSample:
             streams_.pass(*message.mutable_sample());
             break;
@@ -453,19 +294,6 @@ void EntityManagerCore::onStored() {
     settle();
 }
 
-/// With the records that have changed those of the composites that show what is theirs.
-void EntityManagerCore::tellServices(const std::vector<int>& services) {
-    if (holder() == nullptr || !connected()) return;
-    std::set<int> changed(services.begin(), services.end());
-    for (const auto service : services)
-        changed.insert(profiler_.compositesWith(service).begin(), profiler_.compositesWith(service).end());
-    for (const auto service : changed) {
-        proto::ToClient message;
-        *message.mutable_service() = profiler_.record(service);
-        tell(*holder(), kMsgService, message);
-    }
-}
-
 void EntityManagerCore::seekServer() {
     presence_.seek();
     if (connected() && state_ == EntityState::ENVCONN) fire(serverUpEvent());
@@ -493,22 +321,11 @@ void EntityManagerCore::serverLost(const std::string& reason) {
     fire(incident);
 }
 
-/// Why an entity in UNAV, INIT or ERR is there; empty in the other states, and in INIT as long as all goes
-/// well.
-std::string EntityManagerCore::whyNotReady() const {
-    if (state_ == EntityState::UNAV) {
-        if (reason_.empty() && sought_.empty())
-            return "waiting for the robot application " + inQuotes(settings_.application);
-        return reason_ + (reason_.empty() || sought_.empty() ? "" : "; ") + sought_;
-    }
-    return state_ == EntityState::INIT || state_ == EntityState::ERR ? reason_ : std::string();
-}
-
 EntityStatus EntityManagerCore::status() const {
     EntityStatus status;
     status.entity = uuid_;
     status.state = state_;
-    status.latched = latched_;
+    status.latched = latched();
     status.stop_generation = static_cast<std::int32_t>(stops_.generation());
     if (const auto* held = this->held()) {
         status.holder = held->holder;
@@ -525,15 +342,20 @@ void EntityManagerCore::tellStatus() {
 }
 
 void EntityManagerCore::stopApplication(Incident& incident) {
-    if (AXON_PLANTED(LostServerDoesNotStop) && incident.event == Event::ServerDown) return;
+    if (!mustStop(incident)) return;
     incident.generation = stops_.order(incident.cause, incident.event != Event::Reset);
     tasks_.restamp();
     if (incident.event != Event::Reset) tasks_.applicationStopped();
-    note({.kind = JournalRecord::Kind::Stopped,
-          .generation = incident.generation,
-          .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
-          .code = toString(incident.cause),
-          .text = incident.reason.message});
+    noteStop(incident);
+}
+
+void EntityManagerCore::noteStop(const Incident& incident) {
+    if (AXON_PLANTED(StopNotInTheJournal)) return;
+    journal_.note({.kind = JournalRecord::Kind::Stopped,
+                   .generation = incident.generation,
+                   .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
+                   .code = toString(incident.cause),
+                   .text = incident.reason.message});
 }
 
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
@@ -546,12 +368,7 @@ void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::u
     incident.reason = {
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
     tasks_.applicationStopped();
-    if (!AXON_PLANTED(StopNotInTheJournal))
-        note({.kind = JournalRecord::Kind::Stopped,
-              .generation = generation,
-              .who = named(head.sender),
-              .code = toString(cause),
-              .text = incident.reason.message});
+    noteStop(incident);
     fire(incident);
     settle();
 }
@@ -562,7 +379,7 @@ void EntityManagerCore::onDrill(const Header& head, std::uint32_t number) {
 }
 
 void EntityManagerCore::onSignal(Event event, const Header& head) {
-    if (quit_ || passed_.seen(head)) return;
+    if (quit_ || passed_signals_.seen(head)) return;
     process(event, rightOfSignal(event == Event::Reset ? kResetOperation : kClearOperation).who, head,
             nullptr);
     settle();
@@ -615,6 +432,7 @@ void EntityManagerCore::controlTask(const Incident& incident) {
 }
 
 void EntityManagerCore::granted(Incident& granted) {
+    latch_.granted();
     const bool resumed = granted.event == Event::LeaseResumed;
     if (resumed) tasks_.attend();
     fire(granted);
@@ -626,67 +444,20 @@ void EntityManagerCore::granted(Incident& granted) {
 
 void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) {
     if (quit_) return;
-    // What is large takes its time to be read, in which nothing else is done: only of who holds the entity,
-    // or its fellows.
-    if (bytes.size() > kReadOfStrangers && head.msg_type != kMsgCollaboration &&
-        !teamwork_.isPartner(head.sender.id)) {
-        if (auto refusal = checkLease(head.sender, head.held); !refusal.ok()) {
-            refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) +
-                              " KiB is not read. " + refusal.message;
-            return reply(head.sender, {}, refusal);
-        }
-    }
-    if (!from_client_.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
-        ++counters_.malformed;
-        reply(head.sender, {},
-              {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
-        return;
-    }
-    const auto* right = rightOf(from_client_.body_case());
-    const auto event = eventOf(from_client_);
-    if (right == nullptr) {
-        reply(head.sender, {},
-              {RefusalCode::NotSupported,
-               "The Entity Manager does not know this kind of request. Is the client newer than it?",
-               {}});
-        return;
-    }
-    // By the header alone servers and both ends of a direct path know what it is. Nor does a run's message
-    // come by such a path.
-    const bool of_run = right->peers == Peers::OfRun && right->who == Who::Nobody;
-    if (head.msg_type != right->msg_type ||
-        (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
-        ++counters_.malformed;
-        const Refusal refusal{RefusalCode::Malformed,
-                              "The header's msgType is " + inQuotes(head.msg_type) + ", and the message is " +
-                                  std::string(right->body) + ", which has \"" + std::string(right->msg_type) +
-                                  '"' + (of_run ? " and is for entities to say." : "."),
-                              {}};
-        if (isRequest(event) && !of_run) {
-            refuse({event, &head, &from_client_}, refusal);
-        } else {
-            reply(head.sender, {}, refusal);
-        }
-        return;
-    }
-    if (teamwork_.hear(head, from_client_)) {
+    const auto request = reader_.read(head, bytes, teamwork_.isPartner(head.sender.id));
+    if (!request) return;
+    if (teamwork_.hear(head, *request->body)) {
         settle();
         return;
     }
+    const auto event = request->event;
     if (event == Event::Quit) {
-        const bool control = from_client_.has_task_control();
-        auto refusal = right->who == Who::Holder ? checkLease(head.sender, head.held) : Refusal{};
-        if (refusal.ok())
-            refusal = {control ? RefusalCode::Malformed : RefusalCode::NotSupported,
-                       control ? "The action must be PAUSE, RESUME or CANCEL."
-                               : "This is no request to an Entity Manager.",
-                       {}};
-        reply(head.sender, control ? from_client_.task_control().task_id() : std::string(), refusal);
+        reader_.refuseOther(head, *request);
         return;
     }
     // What is over must not win because its timer is late.
     if (event == Event::CheckOut || event == Event::HandOver) ownership_.onTimer();
-    process(event, right->who, head, &from_client_);
+    process(event, request->right->who, head, request->body);
     if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
 }
 
@@ -737,7 +508,7 @@ void EntityManagerCore::refuse(const Incident& incident, const Refusal& refusal)
         return;
     }
     const auto& to = incident.head->sender;
-    if (incident.event != Event::CheckOut) noteRefusal(to, incident.head->held, refusal);
+    if (incident.event != Event::CheckOut) journal_.noteRefusal(to, incident.head->held, refusal);
     switch (incident.event) {
 #define AXON_FACT(name) \
     case Event::name:   \
@@ -752,34 +523,11 @@ void EntityManagerCore::refuse(const Incident& incident, const Refusal& refusal)
     }
 }
 
-/// A stream of raw data is not answered with a stream of refusals.
-void EntityManagerCore::refuseRaw(const Sender& to, const Refusal& refusal) {
-    ++counters_.raw_refused;
-    if (clock_.now() < raw_refused_ + kRawRefusalPeriod) return;
-    raw_refused_ = clock_.now();
-    reply(to, {}, refusal);
-}
-
-void EntityManagerCore::passText(const Incident& incident) {
-    proto::EmToEi message;
-    message.mutable_text()->mutable_text()->swap(*incident.body->mutable_text()->mutable_text());
-    message.mutable_text()->set_from(incident.head->sender.name);
-    if (!back_end_.send(message)) refuse(incident, kTooLargeForLink);
-}
-
-void EntityManagerCore::passRaw(const Incident& incident) {
-    auto& raw = *raw_to_link_.mutable_raw();
-    raw.mutable_data()->Swap(incident.body->mutable_raw()->mutable_data());
-    if (raw.from() != incident.head->sender.name) raw.set_from(incident.head->sender.name);
-    raw.set_stop_generation(stops_.generation());
-    if (!back_end_.send(raw_to_link_)) refuse(incident, kTooLargeForLink);
-}
-
 void EntityManagerCore::answerStatus(const Incident& incident) {
     proto::ToClient message;
     auto& status = *message.mutable_status();
     status.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-    status.set_latched(latched_);
+    status.set_latched(latched());
     status.set_stop_generation(stops_.generation());
     if (holder() != nullptr) status.set_holder(named(*holder()));
     status.set_orphaned(orphaned());
@@ -793,17 +541,7 @@ void EntityManagerCore::answerStatus(const Incident& incident) {
         for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
     }
     tasks_.describe(status);
-    auto margins = back_end_.margins();
-    if (auto margin = presence_.margin()) margins.insert(margins.begin(), std::move(*margin));
-    for (const auto& [hop, gap] : margins) {
-        if (gap.allowed == Duration{}) continue;
-        auto& margin = *status.add_watchdogs();
-        margin.set_hop(hop);
-        margin.set_timeout_ms(
-            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.allowed).count()));
-        margin.set_longest_gap_ms(
-            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
-    }
+    presence_.describeWatchdogs(back_end_.margins(), status);
     if (holder() != nullptr && holder()->id == incident.head->sender.id)
         for (auto& ended : memory_.finals(held()->number)) status.add_ended()->Swap(&ended);
     tell(incident.head->sender, kMsgStatus, message);
@@ -824,7 +562,7 @@ TimePoint EntityManagerCore::nextDeadline() const {
 
 void EntityManagerCore::shutDown() {
     if (quit_) return;
-    reason_ = "the Entity Manager has been ended by its operator";
+    readiness_.notReady("the Entity Manager has been ended by its operator");
     Incident incident{Event::Quit};
     incident.cause = StopCause::Shutdown;
     incident.reason = {RefusalCode::Unavailable, "The Entity Manager has been ended by its operator.", {}};

@@ -4,7 +4,6 @@
 #include <axon/messages.pb.h>
 
 #include <algorithm>
-#include <array>
 #include <cstdint>
 #include <string>
 #include <string_view>
@@ -13,17 +12,22 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
-#include "common/rate_limit.hpp"
 #include "common/rights.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/core/collaboration/teamwork.hpp"
 #include "entity_manager/core/inputs/inputs.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/ownership/ownership.hpp"
 #include "entity_manager/core/presence/presence.hpp"
 #include "entity_manager/core/presence/profiles.hpp"
+#include "entity_manager/core/presence/readiness.hpp"
+#include "entity_manager/core/request_reader.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
+#include "entity_manager/core/stops/latch.hpp"
+#include "entity_manager/core/stops/passed_signals.hpp"
 #include "entity_manager/core/stops/stop_ledger.hpp"
+#include "entity_manager/core/streams/holder_channel.hpp"
 #include "entity_manager/core/streams/streams.hpp"
 #include "entity_manager/core/tasks/tasks.hpp"
 #include "entity_manager/core/turn/incident.hpp"
@@ -47,8 +51,13 @@ namespace axon::entity_manager {
 /// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 ///
 /// It finds the row of each event in the state table and passes each action on to whichever part of the state
-/// it is about (actions.def); the parts see each other through Turn alone.
-class EntityManagerCore final : private Turn {
+/// it is about (actions.def); the parts see each other through Turn and their Others alone.
+class EntityManagerCore final : private Turn,
+                                private Ownership::Others,
+                                private Tasks::Others,
+                                private Teamwork::Others,
+                                private Profiles::Others,
+                                private Inputs::Others {
   public:
     /// Without a journal a task id is known for this life only.
     EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -111,7 +120,7 @@ class EntityManagerCore final : private Turn {
     void shutDown();
 
     EntityState state() const override { return state_; }
-    bool latched() const override { return latched_; }
+    bool latched() const override { return latch_.isSet(); }
     /// Whether it counts on a session with the server; a silent one it has given up.
     bool serverUp() const { return presence_.connected(); }
     const std::string& uuid() const { return uuid_; }
@@ -142,6 +151,8 @@ class EntityManagerCore final : private Turn {
     void sendGrant(const Incident& incident);
     void noteWatch(const Incident& incident);
     Refusal guard(Event event, Who who, const Header& head) const;
+    Refusal whyNotHolder(Who who, const Header& head) const;
+    bool latchForbids(Event event) const;
     void settle();
     /// In this order time passes for them: first whether there is a server at all, then who holds the entity.
     template <class Use>
@@ -150,30 +161,23 @@ class EntityManagerCore final : private Turn {
             use(core.profiles_);
     }
 
-    // The journal.
-    void replayJournal();
-    bool note(JournalRecord record) override;
-    Later<bool> noteDispatch(JournalRecord record) override;
-    void complete(JournalRecord& record) const;
-    bool recorded(bool written) override;
     /// In the storage: the latch, and whether somebody holds the robot.
-    void keepState();
-    void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) override;
+    void keepState() { latch_.keep(held() != nullptr); }
 
     // States, profiles, server.
     void profilesAreGood(const proto::BasicProfile& basic) override;
-    void tellServices(const std::vector<int>& services) override;
     void seekServer();
     /// A lease that outlived the session with the server is found again.
     Event serverUpEvent() const {
         return held() != nullptr && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
     }
-    std::string whyNotReady() const;
+    std::string whyNotReady() const { return readiness_.whyNot(state_); }
     void tellStatus() override;
-    void serverLost(const std::string& reason) override;
+    void serverLost(const std::string& reason);
 
     // Stop.
     void stopApplication(Incident& incident);
+    void noteStop(const Incident& incident);
     void acknowledge(const Incident& incident);
     void deliverStops();
 
@@ -193,7 +197,6 @@ class EntityManagerCore final : private Turn {
                   const proto::ToEntity& message) override;
     void warn(std::string text) override { warning_ = std::move(text); }
     void tellNews(std::string text) override { news_ = std::move(text); }
-    void notReady(std::string why) override { reason_ = std::move(why); }
     void lookAgain() override { profiles_.lookAgain(); }
     void takeKeptProfiles() override { profiles_.takeKept(); }
     Stops stops() const override {
@@ -229,9 +232,6 @@ class EntityManagerCore final : private Turn {
         reply(to, request_id, refusal, Lane::Data);
     }
     void refuse(const Incident& incident, const Refusal& refusal) override;
-    void refuseRaw(const Sender& to, const Refusal& refusal);
-    void passText(const Incident& incident);
-    void passRaw(const Incident& incident);
     void answerStatus(const Incident& incident);
     Header headFor(const Sender& to, const char* type);
 
@@ -239,22 +239,16 @@ class EntityManagerCore final : private Turn {
     const Clock& clock_;
     BackEndPort& back_end_;
     ServerPort& server_;
-    Storage& storage_;
-    Journal* const journal_;  ///< null = none is kept
-    const bool parts_lost_;   ///< of the state; before the others, which write theirs
+    const bool parts_lost_;  ///< of the state; before the others, which write theirs
     std::string uuid_;
+    Latch latch_;
+    JournalWriter journal_;
+    Readiness readiness_;
 
     EntityState state_ = EntityState::UNAV;
     EntityState previous_ = EntityState::REG;  ///< where BUSY returns to
-    bool latched_ = false;
-    bool latch_kept_ = false;  ///< as the storage has it
-    bool free_kept_ = false;   ///< likewise; false before anybody is granted the robot
-    bool journal_failing_ = false;
     bool link_up_ = false;
     bool quit_ = false;
-    std::string reason_;
-    std::string sought_;  ///< in UNAV: what the search for the application has found instead
-
     std::string warning_, news_;
 
     Presence presence_;
@@ -268,29 +262,13 @@ class EntityManagerCore final : private Turn {
     Teamwork teamwork_;
     Inputs inputs_;
     Streams streams_{*this};
-    TimePoint raw_refused_{};
+    HolderChannel holder_channel_{*this};
+    RequestReader reader_{*this};
 
-    /// The resets and clears that were taken last. Between servers each goes two ways, and the second one,
-    /// late, would end the next task.
-    struct PassedSignals {
-        bool seen(const Header& head) {
-            if (head.sequence <= 0) return false;
-            const std::pair key{head.sender.id, head.sequence};
-            if (std::find(recent.begin(), recent.end(), key) != recent.end()) return true;
-            recent[next++ % recent.size()] = key;
-            return false;
-        }
-        std::array<std::pair<std::string, std::int64_t>, 32> recent;
-        std::size_t next = 0;
-    };
-    PassedSignals passed_;
+    PassedSignals passed_signals_;
 
     std::int64_t sequence_ = 0;
-    proto::ToEntity from_client_;  ///< kept for its memory
-    proto::EmToEi raw_to_link_;
-    proto::ToClient raw_to_client_;
     CoreCounters counters_;
-    RateLimit refusals_noted_{10};
 };
 
 }  // namespace axon::entity_manager

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/storage/file_storage.hpp"
+#include "entity_manager/storage/file_resources.hpp"
 
 #include <axon/transfer.pb.h>
 #include <fcntl.h>

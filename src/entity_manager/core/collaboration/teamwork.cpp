@@ -30,9 +30,11 @@ proto::Problem problem(std::int32_t step, const Refusal& refusal) {
 
 }  // namespace
 
-Teamwork::Teamwork(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
-                   TaskMemory& memory, Settings settings)
+Teamwork::Teamwork(Turn& turn, Others& others, JournalWriter& journal, Storage& storage, RandomSource& random,
+                   const ServiceProfiler& profiler, TaskMemory& memory, Settings settings)
     : turn_(turn),
+      others_(others),
+      journal_(journal),
       random_(random),
       profiler_(profiler),
       memory_(memory),
@@ -52,7 +54,7 @@ void Teamwork::considerRun(const Incident& incident) {
         turn_.refuse(incident, *again);
         return;
     }
-    if (turn_.hasTasks()) {
+    if (others_.hasTasks()) {
         turn_.refuse(
             incident,
             {RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}});
@@ -75,10 +77,10 @@ void Teamwork::considerRun(const Incident& incident) {
         run_->begin(turn_.now());
     } else {
         memory_.accept(*id);
-        run_noted_ = turn_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
-                                         .who = named(*turn_.holder()),
-                                         .task = *id,
-                                         .service = run_->request().service().name()});
+        run_noted_ = journal_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
+                                            .who = named(*turn_.holder()),
+                                            .task = *id,
+                                            .service = run_->request().service().name()});
     }
     turn_.fire(Event::CollaborationBegun);
 }
@@ -86,7 +88,7 @@ void Teamwork::considerRun(const Incident& incident) {
 /// Before its entry is in the journal nobody hears of a run: a next life would let it begin again.
 void Teamwork::beginRun() {
     if (!run_noted_ || !run_noted_->ready()) return;
-    const bool written = turn_.recorded(std::exchange(run_noted_, std::nullopt)->value());
+    const bool written = journal_.recorded(std::exchange(run_noted_, std::nullopt)->value());
     if (!written) {
         run_->abandon(
             proto::RUN_REFUSED,
@@ -127,7 +129,7 @@ void Teamwork::settle() {
     for (auto orders = run_->takeOrders(); !orders.empty(); orders = run_->takeOrders()) {
         for (auto& order : orders) {
             if (run_->isSelf(order.participant)) {
-                const Sender self{settings_.entity, turn_.self().name, Role::Operator};
+                const Sender self{settings_.entity, others_.self().name, Role::Operator};
                 if (order.message.has_invitation())
                     considerInvitation(self, order.message);
                 else
@@ -139,7 +141,7 @@ void Teamwork::settle() {
             const bool urgent = message.from_master().has_beat() ||
                                 (message.from_master().has_end() && message.from_master().end().stop());
             const auto& to = run_->participant(order.participant).entity();
-            turn_.tellPeer(urgent ? Lane::Signal : Lane::Data, to, kMsgCollaboration, message);
+            others_.tellPeer(urgent ? Lane::Signal : Lane::Data, to, kMsgCollaboration, message);
             if (message.from_master().has_end())
                 farewells_.sent(to, message.from_master(), run_->beatEvery(order.participant), turn_.now());
         }
@@ -163,11 +165,11 @@ void Teamwork::endRun() {
                            : record.state() == proto::RUN_CANCELLED ? proto::TASK_CANCELLED
                            : record.state() == proto::RUN_REFUSED   ? proto::TASK_REFUSED
                                                                     : proto::TASK_FAILED;
-        turn_.note({.kind = JournalRecord::Kind::TaskEnded,
-                    .task = id,
-                    .service = record.service().name(),
-                    .code = proto::TaskState_Name(state),
-                    .text = record.reason().message()});
+        journal_.note({.kind = JournalRecord::Kind::TaskEnded,
+                       .task = id,
+                       .service = record.service().name(),
+                       .code = proto::TaskState_Name(state),
+                       .text = record.reason().message()});
         memory_.ended(id, state);
     }
     endPart();
@@ -219,7 +221,7 @@ Refusal Teamwork::checkSubLease(const Sender& master, const proto::FromMaster& m
                 "The entity has been stopped. Rearm it first; that starts nothing by itself.",
                 {}};
     if (member_) return {RefusalCode::WrongState, "The entity takes part in another run.", {}};
-    if (turn_.hasTasks())
+    if (others_.hasTasks())
         return {
             RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}};
     return {};
@@ -270,10 +272,10 @@ void Teamwork::problemsOf(const proto::Invitation& invitation, proto::Invitation
 
 void Teamwork::considerInvitation(const Sender& master, const proto::FromMaster& message) {
     if (const auto refusal = checkSubLease(master, message); !refusal.ok()) {
-        turn_.noteRefusal(master,
-                          {static_cast<std::int32_t>(message.invitation().lease().epoch()),
-                           static_cast<std::int32_t>(message.invitation().lease().number())},
-                          refusal);
+        journal_.noteRefusal(master,
+                             {static_cast<std::int32_t>(message.invitation().lease().epoch()),
+                              static_cast<std::int32_t>(message.invitation().lease().number())},
+                             refusal);
         declineInvitation(master, message, refusal);
         return;
     }
@@ -377,7 +379,7 @@ void Teamwork::admitStep(const proto::StepOrder& order) {
         task.mutable_params()->Swap(&typed.value());
     const OpenStep step{.number = order.step()};
     if (refusal.ok() && id && member_->steps.emplace(*id, step).second) {
-        refusal = turn_.admitStep(task);
+        refusal = others_.admitStep(task);
         // Its end, if it has come already, has been told.
         if (refusal.ok()) return;
         if (member_) member_->steps.erase(*id);
@@ -405,13 +407,13 @@ void Teamwork::controlStep(const proto::StepControl& control) {
                       : control.action() == proto::RESUME ? Event::Resume
                                                           : Event::Cancel,
                       &nobody, &body};
-    turn_.controlTask(incident);
+    others_.controlTask(incident);
 }
 
 void Teamwork::endMembership(const proto::CollaborationEnd& end) {
     const bool master = isMaster(*member_);
     // A step of which the master knows no more would go on without anybody who answers for it.
-    const bool busy = turn_.hasTasks();
+    const bool busy = others_.hasTasks();
     if (end.stop() || busy) {
         Incident incident{Event::CollaborationStopped};
         incident.cause = StopCause::Requested;
@@ -481,7 +483,7 @@ void Teamwork::sendToMaster(Lane lane, const Sender& master, const proto::FromSl
     }
     proto::ToEntity body;
     *body.mutable_from_slave() = message;
-    turn_.tellPeer(lane, master.id, kMsgCollaboration, body);
+    others_.tellPeer(lane, master.id, kMsgCollaboration, body);
 }
 
 void Teamwork::depart(const Sender& master, const std::string& run_id, const Refusal& reason) {
@@ -495,7 +497,7 @@ void Teamwork::depart(const Sender& master, const std::string& run_id, const Ref
 void Teamwork::leave(const Refusal& reason) {
     if (run_ && !run_->over()) {
         run_->abandon(collaboration::isStop(reason) ? proto::RUN_STOPPED : proto::RUN_FAILED,
-                      {reason.code, turn_.self().name + ": " + reason.message, {}}, turn_.now());
+                      {reason.code, others_.self().name + ": " + reason.message, {}}, turn_.now());
         settle();  // now: what follows may take the lease, or the server, from those who are to be told
     }
     if (!member_) return;
@@ -526,7 +528,7 @@ void Teamwork::onTimer() {
     for (auto& [entity, said] : farewells_.takeDue(now)) {
         proto::ToEntity message;
         message.mutable_from_master()->Swap(&said);
-        turn_.tellPeer(Lane::Signal, entity, kMsgCollaboration, message);
+        others_.tellPeer(Lane::Signal, entity, kMsgCollaboration, message);
     }
     if (run_) run_->onTimer(now);
     if (!member_ || isMaster(*member_)) return;
@@ -619,7 +621,7 @@ void Teamwork::sendRaw(proto::LinkRaw& raw) {
     }
     proto::ToEntity message;
     message.mutable_raw()->mutable_data()->Swap(raw.mutable_data());
-    turn_.tellPeer(Lane::Data, to->entity(), kMsgRaw, message);
+    others_.tellPeer(Lane::Data, to->entity(), kMsgRaw, message);
 }
 
 void Teamwork::tellHistory(const Incident& incident) {

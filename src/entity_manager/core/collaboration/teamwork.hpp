@@ -16,6 +16,7 @@
 #include "common/refusal.hpp"
 #include "entity_manager/core/collaboration/farewells.hpp"
 #include "entity_manager/core/collaboration/run_records.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
 #include "entity_manager/core/turn/incident.hpp"
@@ -37,9 +38,26 @@ class Teamwork final : public Owner {
         std::string entity;  ///< its UUID
         Duration watchdog;   ///< of the master's silence, while its run goes on
     };
+    /// What it asks of other owners.
+    class Others {
+      public:
+        virtual ~Others() = default;
+        /// This entity as the sender of what it sends to another: its UUID, and its name for people.
+        virtual Sender self() const = 0;
+        /// To another entity, by its UUID. Nothing happens when there is no session. Lane::Signal for what
+        /// the next one repeats: that may be left out without a word.
+        virtual void tellPeer(Lane lane, const std::string& entity, const char* type,
+                              const proto::ToEntity& message) = 0;
+        /// Whether a task waits or has begun.
+        virtual bool hasTasks() const = 0;
+        /// OK, or why the step is not taken as a task. Its end may have been told before this returns.
+        virtual Refusal admitStep(const proto::TaskRequest& request) = 0;
+        /// A pause, resume or cancel; answered as if its sender had sent it.
+        virtual void controlTask(const Incident& incident) = 0;
+    };
     /// `memory` has the ids of runs beside those of tasks: neither begins twice.
-    Teamwork(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
-             TaskMemory& memory, Settings settings);
+    Teamwork(Turn& turn, Others& others, JournalWriter& journal, Storage& storage, RandomSource& random,
+             const ServiceProfiler& profiler, TaskMemory& memory, Settings settings);
 
     // Actions of the state table.
 
@@ -133,6 +151,8 @@ class Teamwork final : public Owner {
     const proto::Participant* partner(std::string_view name) const;
 
     Turn& turn_;
+    Others& others_;
+    JournalWriter& journal_;
     RandomSource& random_;
     const ServiceProfiler& profiler_;
     TaskMemory& memory_;

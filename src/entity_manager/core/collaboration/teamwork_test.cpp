@@ -23,6 +23,29 @@ proto::ServicesProfile oneService() {
     return profile;
 }
 
+/// What the tasks and the way to other entities would do.
+struct NotingOthers final : Teamwork::Others {
+    struct Told {
+        Lane lane;
+        std::string entity;
+        std::string type;
+        proto::ToEntity message;
+    };
+    Sender self() const override { return {"self", "This robot", Role::Operator}; }
+    void tellPeer(Lane lane, const std::string& entity, const char* type,
+                  const proto::ToEntity& message) override {
+        told.push_back({lane, entity, type, message});
+    }
+    bool hasTasks() const override { return !steps.empty(); }
+    Refusal admitStep(const proto::TaskRequest& request) override {
+        steps.push_back(request);
+        return {};
+    }
+    void controlTask(const Incident&) override {}
+    std::vector<Told> told;
+    std::vector<proto::TaskRequest> steps;
+};
+
 struct Teamworks : testing::Test {
     Teamworks() {
         profiler.load(oneService(), "self", {});
@@ -44,7 +67,7 @@ struct Teamworks : testing::Test {
         collaboration::seal(lease, {kRun, master.id, "self"}, turn.lease->key.bytes());
         return message;
     }
-    const proto::FromSlave& answered() const { return turn.told_peers.back().message.from_slave(); }
+    const proto::FromSlave& answered() const { return others.told.back().message.from_slave(); }
     RefusalCode refused() const { return toRefusal(answered().answer().problems(0).refusal()).code; }
     void hear(proto::FromMaster said) {
         proto::ToEntity message;
@@ -76,7 +99,9 @@ struct Teamworks : testing::Test {
     test::FakeTurn turn;
     ServiceProfiler profiler;
     TaskMemory memory;
-    Teamwork teamwork{turn, storage, random, profiler, memory, {"self", 250ms}};
+    JournalWriter journal{turn, nullptr};
+    NotingOthers others;
+    Teamwork teamwork{turn, others, journal, storage, random, profiler, memory, {"self", 250ms}};
 };
 
 TEST_F(Teamworks, AMasterIsObeyedThatTheHolderHasGivenTheRight) {
@@ -111,18 +136,18 @@ TEST_F(Teamworks, ASealOfAnotherLeaseOrFromBeforeAStopIsRefused) {
 TEST_F(Teamworks, AStepIsATaskWhoseReportsGoToTheMaster) {
     teamwork.considerInvitation(master, invitation());
     const auto id = order(4);
-    ASSERT_EQ(turn.steps.size(), 1U);
-    EXPECT_EQ(turn.steps[0].service(), "Driving");
+    ASSERT_EQ(others.steps.size(), 1U);
+    EXPECT_EQ(others.steps[0].service(), "Driving");
 
     teamwork.onTimer();  // its first beat
-    const auto before = turn.told_peers.size();
+    const auto before = others.told.size();
     auto running = event(id, proto::TASK_RUNNING);
     EXPECT_TRUE(teamwork.tellStep(running));
-    EXPECT_EQ(turn.told_peers.size(), before) << "a short step is told with its end";
+    EXPECT_EQ(others.told.size(), before) << "a short step is told with its end";
     EXPECT_EQ(teamwork.nextDeadline(), turn.now() + 5ms);
     auto succeeded = event(id, proto::TASK_SUCCEEDED);
     EXPECT_TRUE(teamwork.tellStep(succeeded));
-    ASSERT_EQ(turn.told_peers.size(), before + 1);
+    ASSERT_EQ(others.told.size(), before + 1);
     EXPECT_EQ(answered().report().step(), 4);
     EXPECT_EQ(answered().report().event().state(), proto::TASK_SUCCEEDED);
     EXPECT_FALSE(teamwork.tellStep(succeeded)) << "it is no step any more";
@@ -141,9 +166,9 @@ TEST_F(Teamworks, ASilentMasterIsLostAndHearsWhyWhenItSpeaksAgain) {
     EXPECT_FALSE(teamwork.takesPart());
     EXPECT_EQ(turn.fired.back().event, Event::MasterLost);
 
-    turn.told_peers.clear();
+    others.told.clear();
     hear(beat);
-    ASSERT_EQ(turn.told_peers.size(), 1U);
+    ASSERT_EQ(others.told.size(), 1U);
     EXPECT_EQ(toRefusal(answered().departure().reason()).code, RefusalCode::TimedOut);
 }
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "entity_manager/core/services/message_size.hpp"
+#include "entity_manager/core/services/tell_services.hpp"
 #include "entity_manager/ports/core_settings.hpp"
 #include "messages/values.hpp"
 
@@ -26,9 +27,10 @@ Refusal unanswered(Duration within) {
 
 }  // namespace
 
-Inputs::Inputs(Turn& turn, Storage& storage, ResourceStore& store, ServiceProfiler& profiler,
+Inputs::Inputs(Turn& turn, Others& others, Storage& storage, ResourceStore& store, ServiceProfiler& profiler,
                Settings settings)
     : turn_(turn),
+      others_(others),
       store_(store),
       profiler_(profiler),
       settings_(settings),
@@ -107,7 +109,7 @@ void Inputs::answered(const proto::RequestAnswer& answer) {
             RefusalCode::RevokedLease, "The lease ended before the robot application had answered.", {}};
     if (refusal.ok()) refusal = keepParameter(question);
     conclude(question, refusal);
-    if (refusal.ok()) turn_.tellServices({question.service});
+    if (refusal.ok()) tellServices(turn_, profiler_, {question.service});
 }
 
 Refusal Inputs::keepParameter(const Question& question) {
@@ -116,7 +118,7 @@ Refusal Inputs::keepParameter(const Question& question) {
     if (config) {
         // It reaches what runs now, which may have begun after a stop that came before the answer, or go on
         // alone.
-        if (auto refusal = turn_.checkGeneration(static_cast<std::int32_t>(question.generation));
+        if (auto refusal = others_.checkGeneration(static_cast<std::int32_t>(question.generation));
             !refusal.ok())
             return refusal;
         if (turn_.orphaned())
@@ -124,12 +126,13 @@ Refusal Inputs::keepParameter(const Question& question) {
                     "The client was lost before the robot application had answered.",
                     {}};
         if (auto refusal = saved_.mayKeepConfig(record.name(), question.param); !refusal.ok()) return refusal;
-        if (auto refusal = turn_.leavesRoom(question.service, question.param); !refusal.ok()) return refusal;
+        if (auto refusal = others_.leavesRoom(question.service, question.param); !refusal.ok())
+            return refusal;
     }
     profiler_.storeParam(question.service, question.param);
     if (const auto param = findParamIndex(record, question.param.name()))
         saved_.set(record.name(), record.params(param.value()), question.param);
-    if (config) turn_.reconfigure(question.service, question.param);
+    if (config) others_.reconfigure(question.service, question.param);
     return {};
 }
 
@@ -178,7 +181,7 @@ void Inputs::carryResource(const Incident& incident) {
         named.set_service(service.name());
         named.set_resource(service.resources(place->second).name());
         const auto progress =
-            uploads_.offer(named, place->first, place->second, to, turn_.held()->owner, turn_.now());
+            uploads_.offer(named, place->first, place->second, to, turn_.held()->taken_by, turn_.now());
         if (!progress)
             turn_.refuse(incident, progress.refusal());
         else if (const auto* upload = uploads_.find(offer.transfer_id()))
@@ -213,7 +216,7 @@ void Inputs::uploadProgress(const UploadDesk::Upload& upload, const Result<Uploa
         profiler_.storeResource(place->first, place->second, progress->path, upload.offer.sha256(),
                                 upload.offer.size());
     sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), {});
-    if (place) turn_.tellServices({place->first});
+    if (place) tellServices(turn_, profiler_, {place->first});
 }
 
 void Inputs::askResource(const UploadDesk::Upload& upload, const std::string& path) {

@@ -32,7 +32,20 @@ class Inputs final : public Owner {
         std::uint64_t resource_bytes_max;
         std::uint64_t resource_window;
     };
-    Inputs(Turn& turn, Storage& storage, ResourceStore& store, ServiceProfiler& profiler, Settings settings);
+    /// What it asks of other owners.
+    class Others {
+      public:
+        virtual ~Others() = default;
+        /// Whether a command counts whose sender had seen this stop generation, as StopLedger::whyNot().
+        virtual Refusal checkGeneration(std::int32_t seen) const = 0;
+        /// TOO_LARGE where a task that has been accepted could not be sent with this value of a service's own
+        /// parameter.
+        virtual Refusal leavesRoom(int service, const proto::Param& param) const = 0;
+        /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
+        virtual void reconfigure(int service, const proto::Param& param) = 0;
+    };
+    Inputs(Turn& turn, Others& others, Storage& storage, ResourceStore& store, ServiceProfiler& profiler,
+           Settings settings);
 
     // Actions of the state table.
 
@@ -89,6 +102,7 @@ class Inputs final : public Owner {
                           const Refusal& refusal);
 
     Turn& turn_;
+    Others& others_;
     ResourceStore& store_;
     ServiceProfiler& profiler_;
     const Settings settings_;

@@ -27,6 +27,15 @@ proto::ServicesProfile profileOfDriving() {
     return profile;
 }
 
+/// What stops and tasks would say.
+struct NotingOthers final : Inputs::Others {
+    Refusal checkGeneration(std::int32_t) const override { return outdated; }
+    Refusal leavesRoom(int, const proto::Param&) const override { return room; }
+    void reconfigure(int, const proto::Param& param) override { reconfigured.push_back(param); }
+    Refusal outdated, room;
+    std::vector<proto::Param> reconfigured;
+};
+
 struct TheInputs : testing::Test {
     TheInputs() {
         profiler.load(profileOfDriving(), "self", {});
@@ -62,7 +71,8 @@ struct TheInputs : testing::Test {
     test::MemoryResources store;
     test::FakeTurn turn;
     ServiceProfiler profiler;
-    Inputs inputs{turn, storage, store, profiler, {10s, 1000, 100}};
+    NotingOthers others;
+    Inputs inputs{turn, others, storage, store, profiler, {10s, 1000, 100}};
 };
 
 TEST_F(TheInputs, AValueCountsOnceTheApplicationHasGrantedIt) {
@@ -74,7 +84,8 @@ TEST_F(TheInputs, AValueCountsOnceTheApplicationHasGrantedIt) {
     EXPECT_EQ(valueOf(0), 5);
     ASSERT_EQ(turn.replies.size(), 1U);
     EXPECT_TRUE(turn.replies[0].ok());
-    EXPECT_EQ(turn.told_services, (std::vector<std::vector<int>>{{0}}));
+    ASSERT_EQ(turn.told.size(), 1U);
+    EXPECT_EQ(turn.told[0].message.service().name(), "Driving") << "its holder is told";
     answer();
     EXPECT_EQ(turn.counted.unexpected, 1U) << "a second answer is to nothing";
 }
@@ -109,19 +120,20 @@ TEST_F(TheInputs, AValueForALeaseThatHasEndedIsNotKeptForTheNext) {
 TEST_F(TheInputs, AConfigurationReachesTheTasksUnlessItIsFromBeforeAStopOrDoesNotFit) {
     set("Limit", 5);
     answer();
-    ASSERT_EQ(turn.reconfigured.size(), 1U);
-    EXPECT_EQ(turn.reconfigured[0].name(), "Limit");
+    ASSERT_EQ(others.reconfigured.size(), 1U);
+    EXPECT_EQ(others.reconfigured[0].name(), "Limit");
 
     set("Limit", 6);
-    turn.stopped.required = turn.stopped.generation = 1;
+    others.outdated = {RefusalCode::OldGeneration, "", {}};
     answer();
     EXPECT_EQ(turn.replies.back().code, RefusalCode::OldGeneration);
 
     set("Limit", 7);
-    turn.room = {RefusalCode::TooLarge, "", {}};
+    others.outdated = {};
+    others.room = {RefusalCode::TooLarge, "", {}};
     answer();
     EXPECT_EQ(turn.replies.back().code, RefusalCode::TooLarge);
-    EXPECT_EQ(turn.reconfigured.size(), 1U);
+    EXPECT_EQ(others.reconfigured.size(), 1U);
     EXPECT_EQ(valueOf(1), 5);
 }
 

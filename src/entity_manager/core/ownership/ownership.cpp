@@ -61,9 +61,14 @@ std::string because(const std::string& reason) {
 
 }  // namespace
 
-Ownership::Ownership(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
-                     const Settings& settings)
-    : turn_(turn), profiler_(profiler), settings_(settings), lease_(storage, random) {}
+Ownership::Ownership(Turn& turn, Others& others, JournalWriter& journal, Storage& storage,
+                     RandomSource& random, const ServiceProfiler& profiler, const Settings& settings)
+    : turn_(turn),
+      others_(others),
+      journal_(journal),
+      profiler_(profiler),
+      settings_(settings),
+      lease_(storage, random) {}
 
 void Ownership::considerCheckOut(const Incident& incident) {
     const auto& request = incident.body->check_out();
@@ -291,7 +296,7 @@ void Ownership::resume(const Incident& incident) {
         Incident lost{Event::ClientLost};
         lost.cause = StopCause::ClientLost;
         lost.reason = {RefusalCode::ClientLost, named(before.holder) + " has connected anew.", {}};
-        turn_.loseHolder(lost);
+        others_.loseHolder(lost);
         sendLeaseEnded(before,
                        {RefusalCode::RevokedLease,
                         named(sender) + " has resumed the lease from another session.", named(sender)});
@@ -299,11 +304,15 @@ void Ownership::resume(const Incident& incident) {
     grantWhenStanding(claim, proto::RESUME_LEASE);
 }
 
+/// Never hand over a robot that has not confirmed its last stop.
+bool Ownership::mustWaitForStandstill() const {
+    return !turn_.stops().standing && !AXON_PLANTED(GrantBeforeStandstill);
+}
+
 void Ownership::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
     const bool resumes = phase == proto::RESUME_LEASE;
     if (!resumes) wait_list_.leave(claim.client, claim.request_id);
-    if (!turn_.stops().standing && !AXON_PLANTED(GrantBeforeStandstill)) {
-        // Never hand over a robot that has not confirmed its last stop. Meanwhile it is reserved.
+    if (mustWaitForStandstill()) {  // meanwhile it is reserved
         auto until = turn_.now() + kStandstillWait;
         if (waiting_grant_) {  // of a holder that has come back twice the later session counts
             until = waiting_grant_->until;
@@ -333,9 +342,9 @@ void Ownership::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
     else
         lease_.grant(claim);
     taken_.clear();
-    turn_.note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
-                .who = named(claim.client)});
-    turn_.granted(granted);
+    journal_.note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
+                   .who = named(claim.client)});
+    others_.granted(granted);
     if (resumes && hand_over_.open()) tellQuestion(*hand_over_.open(), false);
 }
 
@@ -350,10 +359,10 @@ void Ownership::takeOver(const Claim& claim, proto::CheckOutPhase phase, const R
         Incident taken{Event::TakenOver};
         taken.cause = StopCause::Released;
         taken.reason = why;
-        turn_.note({.kind = JournalRecord::Kind::TakenOver,
-                    .who = named(claim.client),
-                    .code = std::string(refusalName(why.code)),
-                    .text = why.message});
+        journal_.note({.kind = JournalRecord::Kind::TakenOver,
+                       .who = named(claim.client),
+                       .code = std::string(refusalName(why.code)),
+                       .text = why.message});
         taken_ = why.message;
         turn_.fire(taken);
     }
@@ -428,7 +437,7 @@ void Ownership::endWaits() {
         grantWhenStanding(std::move(waiting.claim), waiting.phase);
     }
     if (mayEndGrace() && turn_.now() >= *lease_.held()->grace_until) {
-        turn_.endSpared(orphan_reason_.message);  // held for as long as somebody could come back
+        others_.endSpared(orphan_reason_.message);  // held for as long as somebody could come back
         Incident expired{Event::LeaseExpired};
         expired.cause = StopCause::Released;  // the loss itself has stopped and latched; this ends the lease
         expired.reason = orphan_reason_;
@@ -444,7 +453,7 @@ void Ownership::endWaits() {
 
 void Ownership::passOn() {
     endWaits();
-    turn_.takeKeptProfiles();
+    others_.takeKeptProfiles();
     if (turn_.state() == EntityState::IDLE && !waiting_grant_ && !lease_.reservation()) {
         // Who asked for this very lease is before those who wait for any: its end answers the question.
         if (const auto question = hand_over_.take())
@@ -458,7 +467,7 @@ void Ownership::passOn() {
 /// Tasks that outlive the loss of their client hold up the end of its lease, and so does a holder that is
 /// back and waits for the robot to stand still.
 bool Ownership::mayEndGrace() const {
-    return lease_.orphaned() && !turn_.finishesAlone() &&
+    return lease_.orphaned() && !others_.finishesAlone() &&
            !(waiting_grant_ && waiting_grant_->phase == proto::RESUME_LEASE);
 }
 
@@ -501,9 +510,9 @@ void Ownership::orphan(const Incident& incident) {
     orphan_reason_ = incident.reason;
     lost_at_ = turn_.now();
     lease_.orphan(turn_.now() + settings_.grace);
-    turn_.note({.kind = JournalRecord::Kind::Lost,
-                .who = named(lease_.held()->holder),
-                .text = incident.reason.message});
+    journal_.note({.kind = JournalRecord::Kind::Lost,
+                   .who = named(lease_.held()->holder),
+                   .text = incident.reason.message});
 }
 
 void Ownership::end(const Incident& incident) {
@@ -517,10 +526,10 @@ void Ownership::end(const Incident& incident) {
                              : incident.reason);
     const auto reason = own_wish ? Refusal{RefusalCode::Ok, "Released.", {}} : incident.reason;
     if (!AXON_PLANTED(LoserNotTold) || incident.event != Event::TakenOver) sendLeaseEnded(held, reason);
-    turn_.note({.kind = JournalRecord::Kind::LeaseEnded,
-                .who = named(held.holder),
-                .code = std::string(refusalName(reason.code)),
-                .text = reason.message});
+    journal_.note({.kind = JournalRecord::Kind::LeaseEnded,
+                   .who = named(held.holder),
+                   .code = std::string(refusalName(reason.code)),
+                   .text = reason.message});
     lease_.end(own_wish                                       ? RefusalCode::NotHolder
                : incident.reason.code == RefusalCode::Expired ? RefusalCode::Expired
                                                               : RefusalCode::RevokedLease,
@@ -593,7 +602,7 @@ void Ownership::reply(const Sender& to, const std::string& request_id, proto::Ch
     reply.set_stop_generation(turn_.stops().generation);
     reply.set_latched(turn_.latched());
     turn_.tell(to, kMsgCheckOut, message);
-    turn_.noteRefusal(to, {}, refusal);
+    journal_.noteRefusal(to, {}, refusal);
 }
 
 /// Neither granted nor refused: waiting, or the holder has been asked.

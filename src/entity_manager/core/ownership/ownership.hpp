@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/refusal.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/ownership/hand_over.hpp"
 #include "entity_manager/core/ownership/wait_list.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
@@ -30,9 +31,24 @@ class Ownership final : public Owner {
         Duration grace;                        ///< for which a lost holder may come back; 0 = none
         std::uint64_t resource_bytes_max = 0;  ///< told with a grant
     };
+    /// What it asks of other owners.
+    class Others {
+      public:
+        virtual ~Others() = default;
+        /// Whether a task goes on to its end while its client is lost.
+        virtual bool finishesAlone() const = 0;
+        /// The holder is lost: ClientLost, or ClientSpared where all that runs may go on without it.
+        virtual void loseHolder(Incident& lost) = 0;
+        /// What has begun goes on without its client no longer: ClientLost, where there is anything.
+        virtual void endSpared(const std::string& why) = 0;
+        /// Fires CheckOutGranted or LeaseResumed, after which the holder's tasks have their client again.
+        virtual void granted(Incident& granted) = 0;
+        /// A profile that was kept while the entity was held, before the next who waits is given the entity.
+        virtual void takeKeptProfiles() = 0;
+    };
     /// `profiler`: whose services a grant tells. Throws std::runtime_error where the storage is damaged.
-    Ownership(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
-              const Settings& settings);
+    Ownership(Turn& turn, Others& others, JournalWriter& journal, Storage& storage, RandomSource& random,
+              const ServiceProfiler& profiler, const Settings& settings);
 
     const LeaseBook& lease() const { return lease_; }
     std::size_t waiting() const { return wait_list_.size(); }
@@ -86,6 +102,7 @@ class Ownership final : public Owner {
     void resume(const Incident& incident);
     Refusal mayTake(const Claim& claim) const;
     bool waitsForStandstill(const Claim& claim, proto::CheckOutPhase phase);
+    bool mustWaitForStandstill() const;
     void grantWhenStanding(Claim claim, proto::CheckOutPhase phase);
     void takeOver(const Claim& claim, proto::CheckOutPhase phase, const Refusal& why);
     void askHolder(const Claim& claim, bool waits, const std::string& reason);
@@ -99,6 +116,8 @@ class Ownership final : public Owner {
     void dropWaitingGrant(const Refusal& reason);
 
     Turn& turn_;
+    Others& others_;
+    JournalWriter& journal_;
     const ServiceProfiler& profiler_;
     const Settings settings_;
 

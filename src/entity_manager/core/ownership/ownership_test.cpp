@@ -14,10 +14,28 @@ namespace {
 
 using namespace std::chrono_literals;
 
+/// What tasks and profiles would do.
+struct NotingOthers final : Ownership::Others {
+    explicit NotingOthers(test::FakeTurn& turn) : turn(turn) {}
+    bool finishesAlone() const override { return task_finishes_alone; }
+    void loseHolder(Incident& lost) override { turn.fire(lost); }
+    void endSpared(const std::string&) override { order.emplace_back("what went on alone ends"); }
+    void granted(Incident& granted) override { turn.fire(granted); }
+    void takeKeptProfiles() override {
+        order.emplace_back("kept profiles are taken");
+        if (profile_kept) turn.in_state = EntityState::INIT;
+    }
+    test::FakeTurn& turn;
+    std::vector<std::string> order;  ///< in which these and the events of the state table came
+    bool profile_kept = false;
+    bool task_finishes_alone = false;
+};
+
 struct Ownerships : testing::Test {
     Ownerships() {
         turn.in_state = EntityState::IDLE;
         turn.on_fire = [this](Incident& incident) {
+            others.order.emplace_back(toString(incident.event));
             if (incident.event == Event::CheckOutGranted) turn.in_state = EntityState::REG;
             if (incident.event != Event::TakenOver && incident.event != Event::LeaseExpired) return;
             turn.in_state = EntityState::IDLE;
@@ -64,7 +82,9 @@ struct Ownerships : testing::Test {
     test::MemoryStorage storage;
     test::FakeTurn turn;
     ServiceProfiler profiler;
-    Ownership ownership{turn, storage, random, profiler, {10s, 1000}};
+    JournalWriter journal{turn, nullptr};
+    NotingOthers others{turn};
+    Ownership ownership{turn, others, journal, storage, random, profiler, {10s, 1000}};
 };
 
 TEST_F(Ownerships, WhatIsFreeIsGrantedAndNobodyElseGetsIt) {
@@ -124,14 +144,41 @@ TEST_F(Ownerships, ALostHolderKeepsItForItsGraceAndForATaskThatGoesOnAlone) {
     lose();
     EXPECT_EQ(ownership.nextDeadline(), turn.now() + 10s);
     turn.clock.advance(10s);
-    turn.task_finishes_alone = true;
+    others.task_finishes_alone = true;
     ownership.passOn();
     EXPECT_EQ(holder(), "a");
-    turn.task_finishes_alone = false;
+    others.task_finishes_alone = false;
     ownership.passOn();
     EXPECT_EQ(turn.fired.back().event, Event::LeaseExpired);
     EXPECT_EQ(turn.fired.back().reason.code, RefusalCode::Expired);
     EXPECT_EQ(holder(), "");
+}
+
+TEST_F(Ownerships, TheEndOfAGraceEndsWhatWentOnAloneAndTheNextGetsItAfterKeptProfiles) {
+    ask("a", proto::TAKE);
+    waitFor("b");
+    lose();
+    turn.clock.advance(10s);
+    others.order.clear();
+    ownership.passOn();
+    EXPECT_EQ(others.order, (std::vector<std::string>{"what went on alone ends", "LeaseExpired",
+                                                      "kept profiles are taken", "CheckOutGranted"}));
+    EXPECT_EQ(holder(), "b");
+}
+
+TEST_F(Ownerships, WhoWaitsGetsItOnceTheProfilesThatWereKeptAreGood) {
+    ask("a", proto::TAKE);
+    waitFor("b");
+    others.profile_kept = true;
+    Incident released{Event::Release};
+    ownership.end(released);
+    turn.in_state = EntityState::IDLE;
+    ownership.passOn();
+    EXPECT_EQ(holder(), "") << "its profiles are read";
+    others.profile_kept = false;
+    turn.in_state = EntityState::IDLE;
+    ownership.passOn();
+    EXPECT_EQ(holder(), "b");
 }
 
 TEST_F(Ownerships, WhoHasTheKeyHasTheLeaseWhateverItsSession) {

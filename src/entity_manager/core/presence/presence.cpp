@@ -2,6 +2,7 @@
 #include "entity_manager/core/presence/presence.hpp"
 
 #include <axon/link.pb.h>
+#include <axon/messages.pb.h>
 
 #include <algorithm>
 #include <chrono>
@@ -26,9 +27,11 @@ std::int32_t fifthOf(Duration watchdog) {
 
 }  // namespace
 
-Presence::Presence(Turn& turn, ServerPort& server, const Settings& settings)
+Presence::Presence(Turn& turn, ServerPort& server, std::function<void(const std::string& why)> server_lost,
+                   const Settings& settings)
     : turn_(turn),
       server_(server),
+      server_lost_(std::move(server_lost)),
       entity_(settings.entity),
       watchdog_(settings.watchdog_busy, settings.watchdog_idle, turn.now()) {
     registration_.entity = entity_;
@@ -82,7 +85,7 @@ void Presence::onTimer() {
                    "; above that the robot stops. The network or one of the two hosts is overloaded");
     }
     if (!watchdog_.expired(now)) sendPosition();
-    if (const auto why = whySilent()) turn_.serverLost(*why);
+    if (const auto why = whySilent()) server_lost_(*why);
 }
 
 TimePoint Presence::nextDeadline() const {
@@ -96,6 +99,19 @@ TimePoint Presence::nextDeadline() const {
 std::optional<HopMargin> Presence::margin() const {
     if (!up_) return std::nullopt;
     return HopMargin{"entity manager watches server", signs_.longest(turn_.now())};
+}
+
+void Presence::describeWatchdogs(std::vector<HopMargin> others, proto::EntityStatus& status) const {
+    if (auto own = margin()) others.insert(others.begin(), std::move(*own));
+    for (const auto& [hop, gap] : others) {
+        if (gap.allowed == Duration{}) continue;
+        auto& margin = *status.add_watchdogs();
+        margin.set_hop(hop);
+        margin.set_timeout_ms(
+            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.allowed).count()));
+        margin.set_longest_gap_ms(
+            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
+    }
 }
 
 void Presence::profileIs(proto::BasicProfile profile) {

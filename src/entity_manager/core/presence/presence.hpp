@@ -2,8 +2,10 @@
 #pragma once
 #include <axon/profile.pb.h>
 
+#include <functional>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "common/life_signs.hpp"
 #include "common/routed.hpp"
@@ -12,8 +14,9 @@
 #include "entity_manager/ports/ports.hpp"
 
 namespace axon::proto {
+class EntityStatus;
 class PositionNote;
-}
+}  // namespace axon::proto
 
 namespace axon::entity_manager {
 
@@ -30,7 +33,9 @@ class Presence final : public Owner {
         Duration watchdog_busy;
         Duration watchdog_idle;
     };
-    Presence(Turn& turn, ServerPort& server, const Settings& settings);
+    /// `server_lost`: there is no session any more, or one that counts; why.
+    Presence(Turn& turn, ServerPort& server, std::function<void(const std::string& why)> server_lost,
+             const Settings& settings);
 
     // The session.
 
@@ -49,6 +54,8 @@ class Presence final : public Owner {
     TimePoint nextDeadline() const override;
     /// The longest silence of late; nothing without a session.
     std::optional<HopMargin> margin() const;
+    /// With those of `others`, its own before them.
+    void describeWatchdogs(std::vector<HopMargin> others, proto::EntityStatus& status) const;
 
     // What the server knows.
 
@@ -71,6 +78,7 @@ class Presence final : public Owner {
 
     Turn& turn_;
     ServerPort& server_;
+    const std::function<void(const std::string& why)> server_lost_;
     const std::string entity_;
     bool up_ = false;
     bool silent_ = false;

@@ -47,7 +47,11 @@ struct Presences : testing::Test {
     }
     test::FakeTurn turn;
     NotingServer server;
-    Presence presence{turn, server, {"u", "an application", 250ms, 10s}};
+    std::vector<std::string> lost;
+    Presence presence{turn,
+                      server,
+                      [this](const std::string& why) { lost.push_back(why); },
+                      {"u", "an application", 250ms, 10s}};
 };
 
 TEST_F(Presences, AServerIsSilentAfterTheWatchdogOfWhatTheEntityDoes) {
@@ -68,7 +72,7 @@ TEST_F(Presences, ASessionThatFellSilentIsGivenUpBeforeAnotherIsWanted) {
     presence.up();
     turn.clock.advance(11s);
     presence.onTimer();
-    ASSERT_EQ(turn.lost_servers, std::vector<std::string>{"it has been silent for 10000 ms"});
+    ASSERT_EQ(lost, std::vector<std::string>{"it has been silent for 10000 ms"});
     presence.seek();
     EXPECT_EQ(server.wishes, (std::vector{false, true}));
     presence.seek();

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "common/utf8.hpp"
+#include "entity_manager/core/services/tell_services.hpp"
 #include "entity_manager/ports/core_settings.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -33,8 +34,14 @@ std::string cutReason(std::string text) {
 
 }  // namespace
 
-Profiles::Profiles(Turn& turn, ResourceStore& store, ServiceProfiler& profiler, Settings settings)
-    : turn_(turn), store_(store), profiler_(profiler), settings_(std::move(settings)) {}
+Profiles::Profiles(Turn& turn, Others& others, Readiness& readiness, ResourceStore& store,
+                   ServiceProfiler& profiler, Settings settings)
+    : turn_(turn),
+      others_(others),
+      readiness_(readiness),
+      store_(store),
+      profiler_(profiler),
+      settings_(std::move(settings)) {}
 
 void Profiles::report() {
     answer({RefusalCode::Malformed, amiss_, {}});
@@ -42,7 +49,7 @@ void Profiles::report() {
 
 void Profiles::amiss(std::string why) {
     amiss_ = std::move(why);
-    turn_.notReady(amiss_);
+    readiness_.notReady(amiss_);
 }
 
 void Profiles::onStored() {
@@ -86,7 +93,7 @@ void Profiles::activeIs(const proto::ServiceActive& told) {
     if (active_told_.size() < kActiveTold || active_told_.contains(told.service()))
         active_told_[told.service()] = {told.active(), reason};
     if (const auto service = profiler_.setActive(told.service(), told.active(), std::move(reason)))
-        turn_.tellServices({service.value()});
+        tellServices(turn_, profiler_, {service.value()});
     else
         ++turn_.count().unexpected;
 }
@@ -107,8 +114,9 @@ void Profiles::keep(proto::ProfileUpload& upload) {
                                           : errorsOf(readBasicProfile(upload.xml(), upload.file_name()));
     if (!errors.empty()) refusal.message += " fix: correct its errors before that.\n" + cutReason(errors);
     answer(refusal);
-    turn_.tellNews(upload.file_name() + " has changed while the entity is checked out: kept for its release" +
-                   (errors.empty() ? "" : ", and it has errors: " + cutReason(errors)));
+    others_.tellNews(upload.file_name() +
+                     " has changed while the entity is checked out: kept for its release" +
+                     (errors.empty() ? "" : ", and it has errors: " + cutReason(errors)));
     kept_[upload.services()].Swap(&upload);
 }
 
@@ -121,7 +129,7 @@ void Profiles::takeKept() {
         read(upload);
     }
     const auto news = names + ": the profile that was kept is uploaded now, at the release";
-    turn_.tellNews(news);
+    others_.tellNews(news);
     answer({RefusalCode::Ok, news, {}});
     turn_.fire(Event::KeptProfileTaken);
 }
@@ -156,7 +164,7 @@ void Profiles::takeGood() {
         [[maybe_unused]] const auto known =
             profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
-    turn_.profilesAreGood(basic_->message);
+    others_.profilesAreGood(basic_->message);
 }
 
 /// Files that the robot's owner puts in their places come without a word.
@@ -168,7 +176,7 @@ void Profiles::lookAgain() {
 
 void Profiles::takeLook() {
     if (!located_again_ || !located_again_->ready()) return;
-    turn_.tellServices(profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
+    tellServices(turn_, profiler_, profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
 }
 
 /// What is missing, where an entity would wait in INIT for ever without a word: an application has uploaded
@@ -184,7 +192,7 @@ void Profiles::onTimer() {
             "are there; fix: see that the state folder and the folders of the urls can be read";
         amiss(why);
         turn_.warn(why);
-        turn_.tellStatus();
+        others_.tellStatus();
         return;
     }
     std::string missing = "the robot application " + inQuotes(settings_.application) + " has uploaded ";
@@ -208,7 +216,7 @@ void Profiles::onTimer() {
     amiss(missing);
     turn_.warn(missing);
     answer({RefusalCode::Malformed, missing, {}});
-    turn_.tellStatus();
+    others_.tellStatus();
 }
 
 TimePoint Profiles::nextDeadline() const {

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "common/refusal.hpp"
+#include "entity_manager/core/presence/readiness.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/turn/incident.hpp"
 #include "entity_manager/core/turn/turn.hpp"
@@ -32,7 +33,20 @@ class Profiles final : public Owner {
         std::string application;  ///< for people
         Duration within;          ///< after the link is up; then what has not been uploaded is missing
     };
-    Profiles(Turn& turn, ResourceStore& store, ServiceProfiler& profiler, Settings settings);
+    /// What it asks of other owners.
+    class Others {
+      public:
+        virtual ~Others() = default;
+        /// The services of a profile have been loaded: whatever else goes by it is told, and ProfilesGood
+        /// fired.
+        virtual void profilesAreGood(const proto::BasicProfile& basic) = 0;
+        /// Tells the server how the entity is, where that has changed.
+        virtual void tellStatus() = 0;
+        /// For the operator's log: what is as it should be.
+        virtual void tellNews(std::string text) = 0;
+    };
+    Profiles(Turn& turn, Others& others, Readiness& readiness, ResourceStore& store,
+             ServiceProfiler& profiler, Settings settings);
 
     // Actions of the state table.
 
@@ -71,6 +85,8 @@ class Profiles final : public Owner {
     void amiss(std::string why);
 
     Turn& turn_;
+    Others& others_;
+    Readiness& readiness_;
     ResourceStore& store_;
     ServiceProfiler& profiler_;
     const Settings settings_;

@@ -13,6 +13,18 @@ namespace {
 
 using namespace std::chrono_literals;
 
+/// What goes by profiles that are good.
+struct NotingOthers final : Profiles::Others {
+    explicit NotingOthers(test::FakeTurn& turn) : turn(turn) {}
+    void profilesAreGood(const proto::BasicProfile&) override {
+        Incident good{Event::ProfilesGood};
+        turn.fire(good);
+    }
+    void tellStatus() override {}
+    void tellNews(std::string) override {}
+    test::FakeTurn& turn;
+};
+
 struct TheProfiles : testing::Test {
     TheProfiles() {
         turn.in_state = EntityState::INIT;
@@ -32,12 +44,15 @@ struct TheProfiles : testing::Test {
         upload.set_xml(xml);
         profiles.uploaded(upload);
     }
+    std::string whyNotReady() const { return readiness.whyNot(EntityState::INIT); }
     Refusal toldApplication() const { return toRefusal(turn.to_application.back().profile_error()); }
 
     test::MemoryResources store;
     test::FakeTurn turn;
     ServiceProfiler profiler;
-    Profiles profiles{turn, store, profiler, {"self", "Rig", 3s}};
+    NotingOthers others{turn};
+    Readiness readiness{"Rig"};
+    Profiles profiles{turn, others, readiness, store, profiler, {"self", "Rig", 3s}};
 };
 
 TEST_F(TheProfiles, BothAreNeededAndTheServicesAreLoadedThen) {
@@ -54,8 +69,8 @@ TEST_F(TheProfiles, WhatIsWrongIsToldToTheApplicationAndToWhoeverAsks) {
     upload(true, test::kRigServicesProfile);
     upload(false, "<BasicProfile/>");
     EXPECT_EQ(turn.fired.back().event, Event::ProfilesBad);
-    EXPECT_NE(turn.not_ready, "");
-    EXPECT_EQ(toldApplication().message, turn.not_ready);
+    EXPECT_NE(whyNotReady(), "");
+    EXPECT_EQ(toldApplication().message, whyNotReady());
 }
 
 TEST_F(TheProfiles, WhatIsMissingIsSaidAfterAWhile) {
@@ -65,7 +80,7 @@ TEST_F(TheProfiles, WhatIsMissingIsSaidAfterAWhile) {
     profiles.onTimer();
     ASSERT_EQ(turn.warnings.size(), 1U);
     EXPECT_NE(turn.warnings[0].find("no services profile"), std::string::npos);
-    EXPECT_EQ(turn.not_ready, turn.warnings[0]);
+    EXPECT_EQ(whyNotReady(), turn.warnings[0]);
     EXPECT_EQ(profiles.nextDeadline(), TimePoint::max());
 }
 
@@ -94,8 +109,11 @@ TEST_F(TheProfiles, AServiceThatIsOffStaysOffWhenTheProfileIsReadAnew) {
     proto::ServiceActive off;
     off.set_service(profiler.record(0).name());
     off.set_active(false);
+    turn.lease.emplace().holder.id = "client";
     profiles.activeIs(off);
-    EXPECT_EQ(turn.told_services, (std::vector<std::vector<int>>{{0}}));
+    ASSERT_FALSE(turn.told.empty());
+    EXPECT_EQ(turn.told[0].message.service().name(), off.service())
+        << "its holder is told, of composites too";
     upload(true, test::kRigServicesProfile);
     EXPECT_FALSE(profiler.record(0).is_active());
 

@@ -38,6 +38,21 @@ std::uint32_t firstGeneration(Storage& storage, StopCounter& stop_counter) {
     return stop_counter.generation();
 }
 
+/// A next life must not begin at or below a generation that this one tells.
+bool mustReserve() {
+    return !AXON_PLANTED(GenerationsNotReserved);
+}
+
+/// Every stop of the Entity Manager's own outdates what was sent before.
+bool mustRaise([[maybe_unused]] StopCause cause) {
+    return !(AXON_PLANTED(ReleaseKeepsGeneration) && cause == StopCause::Released);
+}
+
+/// Whether this answer says that the robot has done as it was told: its stop callback has returned.
+bool confirms(const proto::StopDone& done) {
+    return done.fault().empty() && done.stage() == proto::StopReceipt::CALLBACK_RETURNED;
+}
+
 }  // namespace
 
 StopLedger::StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, BackEndPort& back_end)
@@ -52,7 +67,13 @@ StopLedger::StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, 
         lost_ = {proto::StopReceipt::GONE,
                  "it was linked with an Entity Manager that ended, and has not linked since", turn.now()};
     reserved_ = generation_ + kGenerationsReserved;
-    if (!AXON_PLANTED(GenerationsNotReserved)) storage.save(kGenerationKey, std::to_string(reserved_));
+    if (mustReserve()) storage.save(kGenerationKey, std::to_string(reserved_));
+}
+
+bool StopLedger::isOutdated(std::uint32_t seen) const {
+    if (AXON_PLANTED(GenerationUnchecked)) return false;
+    if (AXON_PLANTED(GenerationOffByOne)) return seen + 1 < required_;
+    return seen < required_;
 }
 
 Refusal StopLedger::whyNot(std::int32_t known) const {
@@ -63,7 +84,7 @@ Refusal StopLedger::whyNot(std::int32_t known) const {
                 "A stop is being carried out (stop generation " + std::to_string(stop_counter_.generation()) +
                     "). Look at the entity, then send it again.",
                 {}};
-    if (seen + (AXON_PLANTED(GenerationOffByOne) ? 1U : 0U) < required_ && !AXON_PLANTED(GenerationUnchecked))
+    if (isOutdated(seen))
         return {RefusalCode::OldGeneration,
                 "It was sent before the newest stop was known (stop generation " + std::to_string(seen) +
                     ", now " + std::to_string(required_) + "). Look at the entity, then send it again.",
@@ -93,8 +114,7 @@ void StopLedger::handled(std::uint32_t generation, bool own, bool voids) {
         // Early: the disk has it before that many more stops have come.
         if (generation_ + kGenerationsReserved / 2 >= reserved_) {
             reserved_ = generation_ + kGenerationsReserved;
-            if (!AXON_PLANTED(GenerationsNotReserved))
-                storage_.keep(kGenerationKey, std::to_string(reserved_));
+            if (mustReserve()) storage_.keep(kGenerationKey, std::to_string(reserved_));
         }
     }
     if (voids) required_ = std::max(required_, generation);
@@ -148,9 +168,7 @@ bool StopLedger::owed() const {
 }
 
 std::uint32_t StopLedger::order(StopCause cause, bool voids) {
-    const auto generation = AXON_PLANTED(ReleaseKeepsGeneration) && cause == StopCause::Released
-                                ? stop_counter_.generation()
-                                : stop_counter_.raise();
+    const auto generation = mustRaise(cause) ? stop_counter_.raise() : stop_counter_.generation();
     back_end_.stop(generation, cause);
     handled(generation, true, voids);
     return generation;
@@ -229,25 +247,26 @@ void StopLedger::stopDone(const proto::StopDone& done) {
         return;
     }
     for (auto& open : stops_) {
-        // The Entity Interfacer answers the newest of several stops for all of them.
-        if (open.over() || open.receipt.stop_generation() > done.stop_generation() ||
-            open.receipt.stage() >= done.stage())
-            continue;
-        if (done.stage() == proto::StopReceipt::STANDSTILL &&
-            open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED) {
-            ++turn_.count().unexpected;  // it may stand, but its callback has still to say so
-            continue;
-        }
-        if (done.stage() == proto::StopReceipt::STANDSTILL && turn_.now() >= open.at + kComesToRest)
-            continue;  // it tells nobody anything of a stop so long ago
+        if (!mayAdvance(open, done)) continue;
         open.receipt.set_stage(done.stage());
         open.receipt.clear_fault();
         open.receipt.set_standstill_follows(done.stage() == proto::StopReceipt::CALLBACK_RETURNED &&
                                             done.standstill_follows() && open.moving);
         tellStage(open);
     }
-    if (done.stage() == proto::StopReceipt::CALLBACK_RETURNED)
-        confirmed_ = std::max(confirmed_, done.stop_generation());
+    if (confirms(done)) confirmed_ = std::max(confirmed_, done.stop_generation());
+}
+
+bool StopLedger::mayAdvance(const Open& open, const proto::StopDone& done) {
+    // The Entity Interfacer answers the newest of several stops for all of them.
+    const bool concerns = !open.over() && open.receipt.stop_generation() <= done.stop_generation() &&
+                          open.receipt.stage() < done.stage();
+    if (!concerns || done.stage() != proto::StopReceipt::STANDSTILL) return concerns;
+    if (open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED) {
+        ++turn_.count().unexpected;  // it may stand, but its callback has still to say so
+        return false;
+    }
+    return turn_.now() < open.at + kComesToRest;  // it tells nobody anything of a stop longer ago
 }
 
 /// The stop callback has thrown, and is called again.

@@ -46,9 +46,7 @@ class StopLedger {
     /// OK, or why a command whose sender had seen generation `seen` is not carried out.
     Refusal whyNot(std::int32_t seen) const;
     /// Whether the application has confirmed every stop, those included that the strand has not handled yet.
-    bool standing() const {
-        return (allHandled() || AXON_PLANTED(StopsUnderWayOverlooked)) && confirmed_ >= commanded_;
-    }
+    bool standing() const { return !oneIsUnderWay() && confirmed_ >= commanded_; }
     /// Somebody has rearmed the robot.
     void rearmed();
 
@@ -111,6 +109,12 @@ class StopLedger {
         TimePoint since;
     };
 
+    /// A stop that the signal thread has passed on is still on its way to the strand.
+    bool oneIsUnderWay() const { return !allHandled() && !AXON_PLANTED(StopsUnderWayOverlooked); }
+    /// A command whose sender had seen no newer stop than this one came too late.
+    bool isOutdated(std::uint32_t seen) const;
+    /// Whether this answer takes an open stop a stage further.
+    bool mayAdvance(const Open& open, const proto::StopDone& done);
     void handled(std::uint32_t generation, bool own, bool voids);
     void stopDone(const proto::StopDone& done);
     void drillDone(std::uint32_t number);

@@ -9,6 +9,7 @@
 #include "collaboration/collaboration.hpp"
 #include "common/planted_bug.hpp"
 #include "entity_manager/core/services/message_size.hpp"
+#include "entity_manager/core/services/tell_services.hpp"
 #include "entity_manager/ports/core_settings.hpp"
 #include "entity_manager/ports/journal_record.hpp"
 #include "messages/text.hpp"
@@ -28,9 +29,12 @@ constexpr double kLongestNotAfter_s = 1e6;
 
 }  // namespace
 
-Tasks::Tasks(Turn& turn, BackEndPort& back_end, ResourceStore& store, StopCounter& stop_counter,
-             RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory, Settings settings)
+Tasks::Tasks(Turn& turn, Others& others, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
+             StopCounter& stop_counter, RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory,
+             Settings settings)
     : turn_(turn),
+      others_(others),
+      journal_(journal),
       back_end_(back_end),
       store_(store),
       stop_counter_(stop_counter),
@@ -41,7 +45,7 @@ Tasks::Tasks(Turn& turn, BackEndPort& back_end, ResourceStore& store, StopCounte
       queue_(settings.queue_bound) {}
 
 void Tasks::consider(const Incident& incident) {
-    if (turn_.isReserved()) {
+    if (others_.isReserved()) {
         turn_.refuse(
             incident,
             {RefusalCode::WrongState,
@@ -64,7 +68,7 @@ Refusal Tasks::admit(const proto::TaskRequest& request, std::int64_t sent_at_us)
     if (const auto refusal = queue_.mayPush(); !refusal.ok()) return refusal;
     auto plan = profiler_.prepare(request.service(), request.params());
     if (!plan && plan.refusal().code == RefusalCode::MissingDependency && profiler_.hasUrls()) {
-        turn_.lookAgain();  // for this task where the disk answers at once, else for the next
+        others_.lookAgain();  // for this task where the disk answers at once, else for the next
         plan = profiler_.prepare(request.service(), request.params());
     }
     if (!plan) return plan.refusal();
@@ -113,6 +117,11 @@ bool Tasks::mayStart() const {
            turn_.stops().standing;
 }
 
+/// A stop that the signal thread has passed on and that has not come here yet voids the queue.
+bool Tasks::isOvertakenByAStop(const Task& task) const {
+    return task.generation != stop_counter_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked);
+}
+
 /// In order of arrival: a task that must wait holds back those behind it, or it might wait for ever.
 void Tasks::dispatchNext() {
     continueParts();
@@ -121,9 +130,7 @@ void Tasks::dispatchNext() {
             expireQueue();
             continue;
         }
-        // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
-        if (queue_.front().generation != stop_counter_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked))
-            return;
+        if (isOvertakenByAStop(queue_.front())) return;
         if (!admissible(queue_.front())) return;
         if (const auto prepared = prepare(queue_.front()); !prepared) {
             refusePrepared(prepared.refusal());
@@ -151,14 +158,14 @@ Result<bool> Tasks::prepare(Task& task) {
     if (!task.looked->value().empty()) return missingFiles(task);
     if (AXON_PLANTED(DispatchNotInTheJournal)) return true;
     if (!task.noted)
-        task.noted =
-            turn_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
-                                .who = named(*turn_.holder()),
-                                .task = task.id,
-                                .service = task.service,
-                                .text = task.plan.composite ? partText(profiler_, task, 0) : std::string()});
+        task.noted = journal_.noteDispatch(
+            {.kind = JournalRecord::Kind::Dispatched,
+             .who = named(*turn_.holder()),
+             .task = task.id,
+             .service = task.service,
+             .text = task.plan.composite ? partText(profiler_, task, 0) : std::string()});
     if (!task.noted->ready()) return false;
-    if (turn_.recorded(task.noted->value())) return true;
+    if (journal_.recorded(task.noted->value())) return true;
     task.noted.reset();
     return Refusal{RefusalCode::Overloaded,
                    "The Entity Manager cannot write its journal, so it starts no task. Is the robot's disk "
@@ -181,7 +188,7 @@ Refusal Tasks::missingFiles(const Task& task) {
                        inQuotes(service) + " (" + resource.url() + ')';
             changed.push_back(part.service);
         }
-    turn_.tellServices(changed);
+    tellServices(turn_, profiler_, changed);
     return {RefusalCode::MissingDependency,
             "The file of a resource is no longer on the robot's machine: " +
                 (missing.empty() ? absent.front() : missing) + ". Upload it again, then send the task again.",
@@ -379,8 +386,8 @@ void Tasks::leaveService(const Task& task, bool clear) {
     if (!clear) return;
     const auto cleared = profiler_.clearAfterTask(task.plan);
     for (const auto& [service, resource] : cleared.files)
-        turn_.removeResource(profiler_.record(service).name(), resource);
-    turn_.tellServices(cleared.changed);
+        others_.removeResource(profiler_.record(service).name(), resource);
+    tellServices(turn_, profiler_, cleared.changed);
 }
 
 void Tasks::voidQueue(const Incident& incident) {
@@ -475,7 +482,7 @@ void Tasks::sendTask(const Task& task, proto::TaskState state, const Refusal& re
 }
 
 void Tasks::tellTask(proto::TaskEvent& event) {
-    if (turn_.tellStep(event)) return;
+    if (others_.tellStep(event)) return;
     if (turn_.holder() == nullptr || !turn_.connected()) return;
     proto::ToClient message;
     message.mutable_task()->Swap(&event);
@@ -486,11 +493,11 @@ void Tasks::concludeTask(const Task& task, proto::TaskEvent& event) {
     event.set_task_id(task.id.bytes());
     event.set_service(task.service);
     if (memory_.wasDispatched(task.id) || task.noted)
-        turn_.note({.kind = JournalRecord::Kind::TaskEnded,
-                    .task = task.id,
-                    .service = task.service,
-                    .code = proto::TaskState_Name(event.state()),
-                    .text = event.reason().message()});
+        journal_.note({.kind = JournalRecord::Kind::TaskEnded,
+                       .task = task.id,
+                       .service = task.service,
+                       .code = proto::TaskState_Name(event.state()),
+                       .text = event.reason().message()});
     memory_.ended(task.id, turn_.held() ? turn_.held()->number : LeaseNumber{}, event, turn_.now());
     tellTask(event);
 }

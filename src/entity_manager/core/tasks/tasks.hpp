@@ -11,6 +11,7 @@
 #include "common/ids.hpp"
 #include "common/refusal.hpp"
 #include "common/result.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
 #include "entity_manager/core/tasks/active_task.hpp"
@@ -37,8 +38,24 @@ class Tasks final : public Owner {
         Duration answer_within;  ///< for the robot application to grant or deny a task
         Duration grace;          ///< for which a lost client may come back; 0 = none
     };
-    Tasks(Turn& turn, BackEndPort& back_end, ResourceStore& store, StopCounter& stop_counter,
-          RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory, Settings settings);
+    /// What it asks of other owners.
+    class Others {
+      public:
+        virtual ~Others() = default;
+        /// Whether the entity takes part in a run.
+        virtual bool takesPart() const = 0;
+        /// Whether it takes tasks of a master alone: also before the run that it leads has begun.
+        virtual bool isReserved() const = 0;
+        /// What a task tells. True: it was a step of a run, and its master has been told, or will be.
+        virtual bool tellStep(proto::TaskEvent& event) = 0;
+        /// For resources that have come since without a word; the answer may come later.
+        virtual void lookAgain() = 0;
+        /// A file that a task had for itself, unless another is being put in its place.
+        virtual void removeResource(const std::string& service, const std::string& resource) = 0;
+    };
+    Tasks(Turn& turn, Others& others, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
+          StopCounter& stop_counter, RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory,
+          Settings settings);
 
     // Actions of the state table.
 
@@ -124,6 +141,7 @@ class Tasks final : public Owner {
     };
 
     bool mayStart() const;
+    bool isOvertakenByAStop(const Task& task) const;
     bool admissible(const Task& task) const;
     Result<bool> prepare(Task& task);
     Refusal missingFiles(const Task& task);
@@ -166,6 +184,8 @@ class Tasks final : public Owner {
     }
 
     Turn& turn_;
+    Others& others_;
+    JournalWriter& journal_;
     BackEndPort& back_end_;
     ResourceStore& store_;
     StopCounter& stop_counter_;

@@ -18,8 +18,9 @@ constexpr Duration kPauseWithin = std::chrono::seconds{1};
 
 bool Tasks::survivesClientLoss() const {
     // A step of a run is of more than one robot: nobody would tell the others.
-    return turn_.state() == EntityState::BUSY && !turn_.takesPart() && turn_.linked() && turn_.connected() &&
-           !turn_.latched() && !application_busy_ && !active_.empty() && turn_.stops().all_handled &&
+    return turn_.state() == EntityState::BUSY && !others_.takesPart() && turn_.linked() &&
+           turn_.connected() && !turn_.latched() && !application_busy_ && !active_.empty() &&
+           turn_.stops().all_handled &&
            std::all_of(active_.begin(), active_.end(),
                        [this](const ActiveTask& active) { return lossPolicyOf(active) != proto::STOP_TASK; });
 }

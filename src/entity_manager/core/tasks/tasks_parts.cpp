@@ -140,11 +140,11 @@ void Tasks::continueParts() {
         }
         // For people only: that the task is not begun again is noted with its first part, and costs the disk
         // no more.
-        turn_.note({.kind = JournalRecord::Kind::Part,
-                    .who = named(*turn_.holder()),
-                    .task = active.task.id,
-                    .service = active.task.service,
-                    .text = active.partText(profiler_)});
+        journal_.note({.kind = JournalRecord::Kind::Part,
+                       .who = named(*turn_.holder()),
+                       .task = active.task.id,
+                       .service = active.task.service,
+                       .text = active.partText(profiler_)});
         active.task.generation = turn_.stops().generation;
         sendPart(active);
         ++at;

@@ -51,7 +51,7 @@ class LeaseBook {
         std::string root;
         HandOverPolicy hand_over;
         std::optional<TimePoint> grace_until;  ///< orphaned
-        std::string owner;                     ///< for people: who took it, whoever has resumed it since
+        std::string taken_by;                  ///< for people: who took it, whoever has resumed it since
     };
     struct Reservation {
         Sender by;

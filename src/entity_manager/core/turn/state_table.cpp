@@ -152,7 +152,8 @@ std::vector<Row> makeRows() {
     rows.add({S::REG}, E::CollaborationRequest, {A::ConsiderInvitation}, kStay);
     rows.add({S::REG}, E::CollaborationJoined, {A::TellStatus}, to(S::SLAVE));
     rows.add({S::COLLAB, S::SLAVE}, E::CollaborationEnded, {A::TellStatus}, to(S::REG));
-    rows.add({S::BUSY}, E::CollaborationEnded, {}, kStay);
+    // What runs on is no part of the run any more.
+    rows.add({S::BUSY}, E::CollaborationEnded, {A::ReturnToReg}, kStay);
     rows.add({S::COLLAB, S::SLAVE, S::BUSY}, E::CollaborationStopped,
              {A::StopApplication, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
     rows.add(any, E::RunHistory, {A::TellRunHistory}, kStay);

@@ -4,22 +4,15 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
-#include <vector>
 
 #include "common/clock.hpp"
 #include "common/refusal.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/core/turn/lease_book.hpp"
-#include "entity_manager/ports/later.hpp"
 
 namespace axon::proto {
-class BasicProfile;
 class EmToEi;
-class Param;
-class TaskEvent;
-class TaskRequest;
 class ToClient;
-class ToEntity;
 }  // namespace axon::proto
 
 namespace axon::entity_manager {
@@ -27,17 +20,17 @@ namespace axon::entity_manager {
 struct CoreCounters;
 enum class Event : std::uint8_t;
 struct Incident;
-struct JournalRecord;
 
 /// Bytes of a reason or fault of the robot application that people are told.
 inline constexpr std::size_t kReasonMax = 2000;
 /// Raw data that goes no further is answered this seldom: a stream of it would get a stream of refusals.
 inline constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
 
-/// What an owner of a part of the Entity Manager's state (StopLedger, …) may see and do while one event is
-/// handled. Owners do not know each other; what concerns several of them goes through the state table, and
-/// where one needs an answer of another at once it asks here. Implemented by the core, and by a fake in an
-/// owner's own unit test. Threads: the Entity Manager's strand.
+/// What all owners of parts of the Entity Manager's state (StopLedger, …) may see and do while one event is
+/// handled. Owners do not know each other; what concerns several of them goes through the state table. Where
+/// one needs an answer of another at once, it asks by an interface of its own, Others, which says no more
+/// than it needs. The core implements all of them; an owner's own unit test has fakes. Threads: the Entity
+/// Manager's strand.
 class Turn {
   public:
     /// How far the strand has come with the stops (StopLedger).
@@ -61,13 +54,8 @@ class Turn {
     virtual Stops stops() const = 0;
     /// The present lease. Null when nobody holds the entity. Valid until the lease changes.
     virtual const LeaseBook::Held* held() const = 0;
-    /// Whether a command counts whose sender had seen this stop generation, as StopLedger::whyNot().
-    virtual Refusal checkGeneration(std::int32_t seen) const = 0;
     /// Whether the sender is the holder and acts under the present lease, as LeaseBook::check().
     virtual Refusal checkLease(const Sender& sender, LeaseNumber under) const = 0;
-    /// This entity as the sender of what it sends to another: its UUID, and its name for people.
-    virtual Sender self() const = 0;
-
     const Sender* holder() const { return held() != nullptr ? &held()->holder : nullptr; }
     /// Whether the holder was lost, and its lease lives on for the grace.
     bool orphaned() const { return held() != nullptr && held()->grace_until; }
@@ -88,77 +76,11 @@ class Turn {
     /// Stream samples and raw data to a client, which may be dropped, oldest first. Only while there is a
     /// session.
     virtual void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) = 0;
-    /// To another entity, by its UUID. Nothing happens when there is no session. Lane::Signal for what the
-    /// next one repeats: that may be left out without a word.
-    virtual void tellPeer(Lane lane, const std::string& entity, const char* type,
-                          const proto::ToEntity& message) = 0;
     /// False where the message is larger than the link takes at once: nothing was sent.
     virtual bool toApplication(const proto::EmToEi& message) = 0;
     /// For the operator's log.
     virtual void warn(std::string text) = 0;
-    /// Likewise, of what is as it should be.
-    virtual void tellNews(std::string text) = 0;
-    /// Why the entity is not ready, for whoever asks while it is in INIT or ERR.
-    virtual void notReady(std::string why) = 0;
-    /// Tells the server how the entity is, where that has changed.
-    virtual void tellStatus() = 0;
-    /// There is no session any more, or one that counts.
-    virtual void serverLost(const std::string& reason) = 0;
     virtual CoreCounters& count() = 0;
-
-    // The journal.
-    /// Fills in what is empty and every entry has. False: it could not be written.
-    virtual bool note(JournalRecord record) = 0;
-    /// The entry that goes before a task or a run. It may begin when this has come and `recorded` says so.
-    virtual Later<bool> noteDispatch(JournalRecord record) = 0;
-    /// Counts, and warns of, what the journal does not take; returns what it is told.
-    virtual bool recorded(bool written) = 0;
-    /// Refusals of ownership are noted, at most so many a second; others are not.
-    virtual void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) = 0;
-
-    // What a run asks of the entity's tasks.
-    /// Whether a task waits or has begun.
-    virtual bool hasTasks() const = 0;
-    /// OK, or why the step is not taken as a task. Its end may have been told before this returns.
-    virtual Refusal admitStep(const proto::TaskRequest& request) = 0;
-    /// A pause, resume or cancel; answered as if its sender had sent it.
-    virtual void controlTask(const Incident& incident) = 0;
-
-    // What tasks ask of a run, and of the services.
-    /// Whether the entity takes part in a run.
-    virtual bool takesPart() const = 0;
-    /// Whether it takes tasks of a master alone: also before the run that it leads has begun.
-    virtual bool isReserved() const = 0;
-    /// What a task tells. True: it was a step of a run, and its master has been told, or will be.
-    virtual bool tellStep(proto::TaskEvent& event) = 0;
-    /// For resources that have come since without a word; the answer may come later.
-    virtual void lookAgain() = 0;
-    /// A file that a task had for itself, unless another is being put in its place.
-    virtual void removeResource(const std::string& service, const std::string& resource) = 0;
-
-    /// The services of a profile have been loaded: whatever else goes by it is told, and ProfilesGood fired.
-    virtual void profilesAreGood(const proto::BasicProfile& basic) = 0;
-
-    // What the services' values mean for their tasks, and for who holds the entity.
-    /// TOO_LARGE where a task that has been accepted could not be sent with this value of a service's own
-    /// parameter.
-    virtual Refusal leavesRoom(int service, const proto::Param& param) const = 0;
-    /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
-    virtual void reconfigure(int service, const proto::Param& param) = 0;
-    /// Tells the holder the records of services that have changed.
-    virtual void tellServices(const std::vector<int>& services) = 0;
-
-    // What whoever holds the entity means for its tasks.
-    /// Whether a task goes on to its end while its client is lost.
-    virtual bool finishesAlone() const = 0;
-    /// The holder is lost: ClientLost, or ClientSpared where all that runs may go on without it.
-    virtual void loseHolder(Incident& lost) = 0;
-    /// What has begun goes on without its client no longer: ClientLost, where there is anything.
-    virtual void endSpared(const std::string& why) = 0;
-    /// Fires CheckOutGranted or LeaseResumed, after which the holder's tasks have their client again.
-    virtual void granted(Incident& granted) = 0;
-    /// A profile that was kept while the entity was held, before the next who waits is given the entity.
-    virtual void takeKeptProfiles() = 0;
 };
 
 /// An owner of a part of the state that time changes. The core asks all of them, in one order, so that no
