@@ -195,7 +195,7 @@ int runCrowd(const CrowdWish& wish) {
         settings.application = name;
         member.manager = EntityManager::create(
             executor.get_executor(), ice, settings, server,
-            [&](const EntityManager::Strand& strand, const StopCounter& stop_counter, const Clock&,
+            [&](const EntityManager::Strand& strand, const StopGenerations& stop_generations, const Clock&,
                 BackEndEvents& events) {
                 if (hasRobots(wish.variant)) {
                     BackEndSettings settings_of_link;
@@ -203,8 +203,8 @@ int runCrowd(const CrowdWish& wish) {
                     settings_of_link.manager = name;
                     const auto place = robotPlace(wish.board_file, index);
                     settings_of_link.where = {{place.port, place.port}, place.address};
-                    auto tcp = std::make_unique<BackEndInterface>(strand, std::move(settings_of_link),
-                                                                  stop_counter, clock, member.random, events);
+                    auto tcp = std::make_unique<BackEndInterface>(
+                        strand, std::move(settings_of_link), stop_generations, clock, member.random, events);
                     auto* const at = tcp.get();
                     return EntityManager::BackEnd{std::make_unique<NotingLink>(std::move(tcp), slot),
                                                   [at] { at->start(); }, [at] { at->close(); }};

@@ -9,7 +9,7 @@
 #include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
 #include "direct/always_relayed.hpp"
-#include "entity_manager/ports/stop_counter.hpp"
+#include "entity_manager/ports/stop_generations.hpp"
 #include "simulation/robot_application.hpp"
 
 namespace axon::simulation {
@@ -135,9 +135,9 @@ struct EntityManagerStation::Life {
                    station.timeline_.tell(station.process_.name(), [&] { return line; });
                }),
           core(std::move(settings), station.process_, station.random_, station, station, station.disk_,
-               station.disk_, stop_counter, &station.disk_) {}
+               station.disk_, stop_generations, &station.disk_) {}
 
-    entity_manager::StopCounter stop_counter;
+    entity_manager::StopGenerations stop_generations;
     Inbox inbox;
     bool server_heard = false;
 
@@ -340,13 +340,13 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
 /// As EntityManager::stopSignal does it.
 void EntityManagerStation::passStop(const Header& head, StopCause cause) {
     auto& life = *life_;
-    if (cause == StopCause::ClientLost && life.stop_counter.sparesClientLoss()) {
+    if (cause == StopCause::ClientLost && life.stop_generations.sparesClientLoss()) {
         newClientUpdate(life.attempt, head, ClientChange::Lost);
         return;
     }
     if (cause == StopCause::Drill) {
         if (life.inbox.wouldDrop(senderKey(head.sender.id))) return;
-        const auto number = life.stop_counter.drill(head.sender.id, head.sequence);
+        const auto number = life.stop_generations.drill(head.sender.id, head.sequence);
         if (!number) return;
         stop(*number, cause);
         wakeStrand(life.inbox.pushSignal(
@@ -354,9 +354,9 @@ void EntityManagerStation::passStop(const Header& head, StopCause cause) {
             senderKey(head.sender.id)));
         return;
     }
-    const auto generation = life.stop_counter.raise(head.sender.id, head.sequence);
+    const auto generation = life.stop_generations.raise(head.sender.id, head.sequence);
     if (!generation) {
-        if (const auto known = life.stop_counter.raisedBy(head.sender.id, head.sequence))
+        if (const auto known = life.stop_generations.raisedBy(head.sender.id, head.sequence))
             wakeStrand(life.inbox.pushSignal(
                 Inbox::Signal::Passing,
                 [this, head, cause, known = *known] { life_->core.onStopRepeated(head, cause, known); },
@@ -564,7 +564,7 @@ void EntityManagerStation::linkAnswered(std::uint64_t attempt, std::uint64_t lin
     if (!life.link_signal->openAt(process_) || !life.link_data->openAt(process_))
         return linkLost(link, "the robot application has closed the link");
     life.link_watchdog.feed(process_.now());
-    life.announced = life.stop_counter.generation();
+    life.announced = life.stop_generations.generation();
     beat();
     life.core.onLinkUp();
     settle();

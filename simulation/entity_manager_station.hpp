@@ -47,10 +47,10 @@ class Disk final : public entity_manager::Storage,
     std::vector<entity_manager::JournalRecord> records_;
 };
 
-/// An Entity Manager's process: EntityManagerCore, DirectDesk, StopCounter and Inbox as the daemon has them.
-/// In place of Ice, of the TCP link and of the strand: connections of the simulated network, and an event in
-/// which the strand comes some microseconds after something was put into the inbox, while a stop passes at
-/// once.
+/// An Entity Manager's process: EntityManagerCore, DirectDesk, StopGenerations and Inbox as the daemon has
+/// them. In place of Ice, of the TCP link and of the strand: connections of the simulated network, and an
+/// event in which the strand comes some microseconds after something was put into the inbox, while a stop
+/// passes at once.
 class EntityManagerStation final : public entity_manager::BackEndPort,
                                    public entity_manager::ServerPort,
                                    public DirectListener {

@@ -59,7 +59,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
                 ("axon-client-" + Id128::uuid(random_).toString())},
           storage_(folder_),
           resources_(folder_),
-          core_({name}, clock_, random_, *this, *this, storage_, resources_, stop_counter_),
+          core_({name}, clock_, random_, *this, *this, storage_, resources_, stop_generations_),
           data_(transport::makeCommunicator({"robot-data", Lane::Data, 1, 1, {}})),
           signal_(transport::makeCommunicator({"robot-signal", Lane::Signal, 1, 1, {}})) {
         const auto callback = openLane(data_, transport::tcpEndpoint(server), data_session_);
@@ -150,13 +150,13 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
                         const Ice::Current&) override {
             const auto head = transport::fromIce(std::move(ice_head));
             if (cause == Axon::CommUtil::StopCause::Drill) {
-                const auto number = robot_.stop_counter_.drill(head.sender.id, head.sequence);
+                const auto number = robot_.stop_generations_.drill(head.sender.id, head.sequence);
                 if (!number) return;
                 robot_.stop(*number, StopCause::Drill);
                 robot_.onStrand([&] { robot_.core_.onDrill(head, *number); });
                 return;
             }
-            const auto generation = robot_.stop_counter_.raise(head.sender.id, head.sequence);
+            const auto generation = robot_.stop_generations_.raise(head.sender.id, head.sequence);
             if (!generation) return;
             robot_.stop(*generation, transport::fromIce(cause));
             robot_.onStrand([&] { robot_.core_.onStopSignal(head, transport::fromIce(cause), *generation); });
@@ -329,7 +329,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     const std::filesystem::path& folder_ = home_.folder;
     entity_manager::FileStorage storage_;
     entity_manager::FileResourceStore resources_;
-    entity_manager::StopCounter stop_counter_;
+    entity_manager::StopGenerations stop_generations_;
     std::mutex answers_mutex_;
     std::deque<proto::EiToEm> answers_;  // guarded by answers_mutex_
     std::mutex strand_;

@@ -37,7 +37,7 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
                                                      ResourceStore& resources, Journal* journal) {
     const std::shared_ptr<EntityManager> self(new EntityManager(
         std::move(executor), settings.application, clock, ice, !server.tls && server.router.empty()));
-    self->back_end_ = back_end(self->strand_, self->stop_counter_, clock, *self);
+    self->back_end_ = back_end(self->strand_, self->stop_generations_, clock, *self);
     auto identity = identityIn(storage, random);
     server.secret = std::move(identity.secret);
     settings.uuid = std::move(identity.uuid);
@@ -49,7 +49,7 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
         });
     self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random,
                                                       *self->back_end_.port, *self->direct_desk_, storage,
-                                                      resources, self->stop_counter_, journal);
+                                                      resources, self->stop_generations_, journal);
     self->direct_desk_->setEntity(self->core_->uuid());
     self->resources_ = &resources;
     self->journal_ = journal;
@@ -73,9 +73,11 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
 EntityManager::~EntityManager() = default;
 
 EntityManager::BackEndFactory EntityManager::overTcp(BackEndSettings settings, RandomSource& random) {
-    return [settings = std::move(settings), &random](const Strand& strand, const StopCounter& stop_counter,
+    return [settings = std::move(settings), &random](const Strand& strand,
+                                                     const StopGenerations& stop_generations,
                                                      const Clock& clock, BackEndEvents& events) {
-        auto link = std::make_unique<BackEndInterface>(strand, settings, stop_counter, clock, random, events);
+        auto link =
+            std::make_unique<BackEndInterface>(strand, settings, stop_generations, clock, random, events);
         auto* const at = link.get();
         return BackEnd{std::move(link), [at] { at->start(); }, [at] { at->close(); }};
     };
@@ -83,7 +85,7 @@ EntityManager::BackEndFactory EntityManager::overTcp(BackEndSettings settings, R
 
 void EntityManager::receiveDatagrams(const DatagramSettings& settings, const Clock& clock) {
     datagrams_ = std::make_unique<DatagramDesk>(
-        settings, clock, stop_counter_, uuid(),
+        settings, clock, stop_generations_, uuid(),
         [this](Header head, StopCause cause) { stopSignal(std::move(head), cause); });
 }
 
@@ -123,7 +125,7 @@ void EntityManager::stop() {
 }
 
 void EntityManager::stopSignal(Header head, StopCause cause) {
-    if (cause == StopCause::ClientLost && stop_counter_.sparesClientLoss()) {
+    if (cause == StopCause::ClientLost && stop_generations_.sparesClientLoss()) {
         clientUpdate(std::move(head), ClientChange::Lost);  // what that means now, the strand decides
         return;
     }
@@ -140,17 +142,17 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
     const auto from = senderKey(head.sender.id);
     if (cause == StopCause::Drill) {
         if (inbox_.wouldDrop(from)) return Inbox::Verdict::Dropped;  // nobody would hear of the answer
-        const auto number = stop_counter_.drill(head.sender.id, head.sequence);
+        const auto number = stop_generations_.drill(head.sender.id, head.sequence);
         if (!number) return Inbox::Verdict::Dropped;  // by the other path
         back_end_.port->stop(*number, cause);
         return inbox_.pushSignal(
             Inbox::Signal::Passing,
             [this, head = std::move(head), number = *number] { core_->onDrill(head, number); }, from);
     }
-    const auto generation =
-        stop_counter_.raise(head.sender.id, head.sequence, static_cast<std::uint32_t>(head.stop_generation));
+    const auto generation = stop_generations_.raise(head.sender.id, head.sequence,
+                                                    static_cast<std::uint32_t>(head.stop_generation));
     if (!generation) {  // the same stop by another path, or repeated because its receipt did not arrive
-        const auto known = stop_counter_.raisedBy(head.sender.id, head.sequence);
+        const auto known = stop_generations_.raisedBy(head.sender.id, head.sequence);
         if (!known) return Inbox::Verdict::Dropped;
         return inbox_.pushSignal(
             Inbox::Signal::Passing,

@@ -43,7 +43,7 @@ class EntityManager final : public ServerEvents,
         std::function<void()> start, close;
     };
     using BackEndFactory =
-        std::function<BackEnd(const Strand&, const StopCounter&, const Clock&, BackEndEvents&)>;
+        std::function<BackEnd(const Strand&, const StopGenerations&, const Clock&, BackEndEvents&)>;
     /// The one over TCP.
     static BackEndFactory overTcp(BackEndSettings settings, RandomSource& random);
 
@@ -135,7 +135,7 @@ class EntityManager final : public ServerEvents,
     Inbox inbox_;
     std::mutex signal_mutex_;  // of the threads that bring signals: stops reach robot and inbox in the order
                                // of their generations
-    StopCounter stop_counter_;
+    StopGenerations stop_generations_;
     BackEnd back_end_;
     const std::shared_ptr<ServerCommunicators> ice_;
     const bool plain_way_;  // to the server: neither TLS nor a router

@@ -107,7 +107,7 @@ class DatagramsTest : public ::testing::Test {
             executor_.get_executor(), ice_, core,
             {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
              "", ""},
-            [&](const EntityManager::Strand& strand, const entity_manager::StopCounter&, const Clock&,
+            [&](const EntityManager::Strand& strand, const entity_manager::StopGenerations&, const Clock&,
                 BackEndEvents& events) {
                 auto application = std::make_unique<test::MemoryRobot>(strand, events, seen_);
                 auto* const its = application.get();
@@ -183,7 +183,7 @@ TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
     DatagramSender sender(clock_, [&](const datagrams::StopRepeater::Acknowledged&) { ++acknowledged; });
     sender.admit(manager_->uuid(), numberOf(granted), relay.endpoint().toString(), granted.lease().key(),
                  raw.facts.me.id);
-    constexpr int kStops = 70;  // more than a StopCounter remembers, and than the sentry's window
+    constexpr int kStops = 70;  // more than a StopGenerations remembers, and than the sentry's window
     for (int i = 1; i <= kStops; ++i) {
         EXPECT_TRUE(waitUntil([&] {
             sender.stop(manager_->uuid(), i, 0);

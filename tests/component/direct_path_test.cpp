@@ -49,7 +49,7 @@ class DirectPathTest : public ::testing::Test {
             executor_.get_executor(), ice_, core,
             {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
              "", ""},
-            [&](const EntityManager::Strand& strand, const entity_manager::StopCounter&, const Clock&,
+            [&](const EntityManager::Strand& strand, const entity_manager::StopGenerations&, const Clock&,
                 BackEndEvents& events) {
                 auto application = std::make_unique<test::MemoryRobot>(strand, events, seen_);
                 application_ = application.get();

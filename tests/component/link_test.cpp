@@ -38,7 +38,7 @@ using entity_manager::BackEndEvents;
 using entity_manager::BackEndInterface;
 using entity_manager::BackEndSettings;
 using entity_manager::LinkEnd;
-using entity_manager::StopCounter;
+using entity_manager::StopGenerations;
 using test::waitUntil;
 using Clock = std::chrono::steady_clock;
 using Cause = StopSignal::Cause;
@@ -67,7 +67,8 @@ class Manager : public BackEndEvents {
         settings.report_after = 20ms;
         settings.watchdog_busy = busy * kSlow;
         settings.watchdog_idle = idle * kSlow;
-        link_ = std::make_unique<BackEndInterface>(strand_, settings, stop_counter, clock_, random_, *this);
+        link_ =
+            std::make_unique<BackEndInterface>(strand_, settings, stop_generations, clock_, random_, *this);
         thread_ = std::thread([this] { context_.run(); });
         started_at = Clock::now();
         post([this] { link_->start(); });
@@ -92,7 +93,7 @@ class Manager : public BackEndEvents {
         post([this, busy] { link_->setBusy(busy); });
     }
     std::uint32_t stop(StopCause cause = StopCause::Requested) {
-        const auto generation = stop_counter.raise();
+        const auto generation = stop_generations.raise();
         link_->stop(generation, cause);
         return generation;
     }
@@ -214,7 +215,7 @@ class Manager : public BackEndEvents {
 
     std::function<void(const proto::EiToEm&)> on_message;  // on the strand; set before anything is sent
     std::function<void()> on_up;                           // likewise, before the application starts
-    StopCounter stop_counter;
+    StopGenerations stop_generations;
     std::atomic<int> ups{0}, downs{0};
     Clock::time_point started_at;
     std::atomic<Clock::time_point> up_at{};
@@ -999,7 +1000,7 @@ TEST(Link, AGenerationRaisedWithoutAStopIsHealedByTheBeats) {
     interfacer.start();
     Manager manager("Heal", {5500, 5600}, {}, 2s, 2s);  // a fifth of it from beat to beat
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
-    const auto generation = manager.stop_counter.raise();
+    const auto generation = manager.stop_generations.raise();
     ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }));
     EXPECT_EQ(stops.seen().size(), 1U);
 }
@@ -1010,7 +1011,7 @@ TEST(Link, ALinkBeginsAtItsManagersGenerationWithoutAStop) {
     stops.attach(interfacer);
     interfacer.onAnyTask([](Task&) {});
     Manager manager("Base");
-    for (int i = 0; i < 7; ++i) manager.stop_counter.raise();
+    for (int i = 0; i < 7; ++i) manager.stop_generations.raise();
     interfacer.start();
     ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
     const auto id = manager.dispatch("Any", 7);

@@ -54,7 +54,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
             require(!holder.empty(), "no task begins while nobody holds the robot");
         }
         if (kind % 8 == 5) rig.advance(20ms);
-        if (kind % 8 == 6) rig.stopDone(rig.stop_counter.generation());
+        if (kind % 8 == 6) rig.stopDone(rig.stop_generations.generation());
         if (kind % 32 == 7) {
             rig.stop("client2");
             require(rig.core().latched(), "a stop latches");

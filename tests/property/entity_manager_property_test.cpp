@@ -84,7 +84,7 @@ class World {
         const auto whole = nameOf(noted.task.bytes());  // the same, unless it is a part of a composite
         if (rig_.core().latched()) broken("dispatched while latched: " + id);
         if (rig_.core().status().orphaned) broken("dispatched for a holder that is lost: " + id);
-        if (message.task().stop_generation() != rig_.stop_counter.generation())
+        if (message.task().stop_generation() != rig_.stop_generations.generation())
             broken("dispatched under an older stop generation: " + id);
         if (!dispatched_.insert(id).second) broken("dispatched twice: " + id);
         noteStops();
@@ -273,13 +273,13 @@ class World {
     void offered(const Header& head, const std::string& ask) {
         if (!ask.starts_with("task ")) return;
         offered_.insert(ask.substr(5));
-        if (static_cast<std::uint32_t>(head.stop_generation) >= rig_.stop_counter.generation())
+        if (static_cast<std::uint32_t>(head.stop_generation) >= rig_.stop_generations.generation())
             voided_.erase(ask.substr(5));
     }
     std::string fresh(const char* prefix) { return prefix + std::to_string(++ids_); }
     void send(const std::string& client, const proto::ToEntity& message, const std::string& ask) {
         if (roll(12) == 0)
-            rig_.generation = static_cast<std::int32_t>(roll(rig_.stop_counter.generation() + 1));
+            rig_.generation = static_cast<std::int32_t>(roll(rig_.stop_generations.generation() + 1));
         if (roll(12) == 0) rig_.lease = LeaseNumber{1, static_cast<std::int32_t>(roll(6))};
         sent_.push_back({rig_.headOf(client, message), message.SerializeAsString(), ask});
         if (sent_.size() > 30) sent_.pop_front();
@@ -437,7 +437,7 @@ class World {
         auto head = rig_.headOf(client);
         if (roll(8) == 0 && last_stop_.sequence != 0) head = last_stop_;  // again, by another path
         last_ += head.sender.id + " stops";
-        const auto raised = rig_.stop_counter.raise(head.sender.id, head.sequence);
+        const auto raised = rig_.stop_generations.raise(head.sender.id, head.sequence);
         if (!raised) return;
         last_stop_ = head;
         voided_ = offered_;
@@ -512,7 +512,7 @@ class World {
     void linkUp() {
         link_ = true;
         stops_noted_ = rig_.stops.size();
-        confirmed_ = newest_stop_ = rig_.stop_counter.generation();
+        confirmed_ = newest_stop_ = rig_.stop_generations.generation();
         rig_.linkUp();
         rig_.uploadProfiles();
     }

@@ -206,8 +206,8 @@ CoreRig::CoreRig(std::uint64_t seed, entity_manager::EntityManagerCoreSettings s
 
 void CoreRig::restart() {
     core_.reset();
-    core_ = std::make_unique<entity_manager::EntityManagerCore>(settings_, clock, random_, *this, *this,
-                                                                storage, resources, stop_counter, &journal);
+    core_ = std::make_unique<entity_manager::EntityManagerCore>(
+        settings_, clock, random_, *this, *this, storage, resources, stop_generations, &journal);
 }
 
 void CoreRig::linkUp() {
@@ -353,13 +353,13 @@ void CoreRig::setParam(const std::string& client, const std::string& request, co
 void CoreRig::stop(const std::string& client, StopCause cause, std::int64_t sequence) {
     auto head = headOf(client);
     if (sequence != 0) head.sequence = sequence;
-    if (cause == StopCause::ClientLost && stop_counter.sparesClientLoss()) {
+    if (cause == StopCause::ClientLost && stop_generations.sparesClientLoss()) {
         core_->onClientUpdate(head, ClientChange::Lost);
         return;
     }
     const bool drill = cause == StopCause::Drill;
-    const auto raised = drill ? stop_counter.drill(head.sender.id, head.sequence)
-                              : stop_counter.raise(head.sender.id, head.sequence);
+    const auto raised = drill ? stop_generations.drill(head.sender.id, head.sequence)
+                              : stop_generations.raise(head.sender.id, head.sequence);
     if (!raised) {
         note("stop: seen before");
         return;

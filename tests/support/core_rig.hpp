@@ -166,7 +166,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     MemoryStorage storage;
     MemoryResources resources;
     MemoryJournal journal;
-    entity_manager::StopCounter stop_counter;
+    entity_manager::StopGenerations stop_generations;
     std::size_t frame_max = 1U << 20U;  ///< what the link takes at once
 
     struct ToClientRecord {

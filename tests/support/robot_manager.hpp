@@ -47,8 +47,8 @@ class RobotManager : public entity_manager::BackEndEvents {
         settings.manager = "test";
         const bool strict = watchdogs == Watchdogs::Strict;
         if (!strict) settings.watchdog_busy = settings.watchdog_idle = std::chrono::seconds{2};
-        link_ = std::make_unique<entity_manager::BackEndInterface>(strand_, settings, stop_counter_, clock_,
-                                                                   random_, *this);
+        link_ = std::make_unique<entity_manager::BackEndInterface>(strand_, settings, stop_generations_,
+                                                                   clock_, random_, *this);
         thread_ = std::thread([this] { context_.run(); });
         asio::post(strand_, [this, strict] {
             link_->start();
@@ -70,7 +70,7 @@ class RobotManager : public entity_manager::BackEndEvents {
     }
 
     std::uint32_t stop() {
-        const auto generation = stop_counter_.raise();
+        const auto generation = stop_generations_.raise();
         link_->stop(generation, StopCause::Requested);
         return generation;
     }
@@ -101,7 +101,7 @@ class RobotManager : public entity_manager::BackEndEvents {
         proto::EmToEi message;
         message.mutable_pause()->set_task_id(id);
         message.mutable_pause()->set_resume(resume);
-        message.mutable_pause()->set_stop_generation(stop_counter_.generation());
+        message.mutable_pause()->set_stop_generation(stop_generations_.generation());
         send(message);
     }
     void cancel(const std::string& id) {
@@ -217,7 +217,7 @@ class RobotManager : public entity_manager::BackEndEvents {
         auto& task = *message.mutable_task();
         task.set_task_id(Id128::random(random_).bytes());
         task.set_service(service);
-        task.set_stop_generation(stop_counter_.generation());
+        task.set_stop_generation(stop_generations_.generation());
         for (const auto& [name, value] : parameters) {
             auto& parameter = *task.add_params();
             parameter.set_name(name);
@@ -245,7 +245,7 @@ class RobotManager : public entity_manager::BackEndEvents {
         is_frozen_ = false;
     }
 
-    entity_manager::StopCounter stop_counter_;
+    entity_manager::StopGenerations stop_generations_;
     SteadyClock clock_;
     SystemRandom random_;
     asio::io_context context_;

@@ -65,7 +65,7 @@ Header StopDesk::header(const Order& order, const std::string& entity, bool agai
     head.entity = entity;
     head.msg_type = kMsgStop;
     // Who knows the generation that the stop itself has raised means another one by its number
-    // (stop_counter.hpp).
+    // (stop_generations.hpp).
     head.stop_generation = entity.empty() || again ? 0 : marks_.of(entity);
     head.sequence = order.sequence;
     head.sent_at_us = toMicroseconds(clock_.now());

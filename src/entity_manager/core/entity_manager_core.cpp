@@ -13,8 +13,8 @@ namespace axon::entity_manager {
 
 EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock,
                                      RandomSource& random, BackEndPort& back_end, ServerPort& server,
-                                     Storage& storage, ResourceStore& resources, StopCounter& stop_counter,
-                                     Journal* journal)
+                                     Storage& storage, ResourceStore& resources,
+                                     StopGenerations& stop_generations, Journal* journal)
     : settings_(std::move(settings)),
       clock_(clock),
       back_end_(back_end),
@@ -29,8 +29,8 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       ownership_(*this, *this, journal_, storage, random, profiler_,
                  {settings_.lease_grace, settings_.resource_bytes_max}),
-      stops_(*this, storage, stop_counter, back_end),
-      tasks_(*this, *this, journal_, back_end, resources, stop_counter, random, profiler_, memory_,
+      stops_(*this, storage, stop_generations, back_end),
+      tasks_(*this, *this, journal_, back_end, resources, stop_generations, random, profiler_, memory_,
              {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
       profiles_(*this, *this, readiness_, resources, profiler_,
                 {uuid_, settings_.application, settings_.profiles_within}),

@@ -36,7 +36,7 @@
 #include "entity_manager/core/turn/turn.hpp"
 #include "entity_manager/ports/core_settings.hpp"
 #include "entity_manager/ports/ports.hpp"
-#include "entity_manager/ports/stop_counter.hpp"
+#include "entity_manager/ports/stop_generations.hpp"
 
 namespace axon::entity_manager {
 
@@ -46,7 +46,7 @@ namespace axon::entity_manager {
 /// Where in the flow: between the entity server (ServerPort) and the robot application's Entity Interfacer
 /// (BackEndPort). An event goes in as one call of on…(); effects leave through the ports before the call
 /// returns. States: the nine of EntityState plus the latch flag; the table is state_table.hpp. Threads: one
-/// strand only. What may be called from elsewhere is StopCounter and BackEndPort::stop. Failure: an event
+/// strand only. What may be called from elsewhere is StopGenerations and BackEndPort::stop. Failure: an event
 /// that the table does not list for the present state is refused with WRONG_STATE to whoever sent it;
 /// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 ///
@@ -62,7 +62,7 @@ class EntityManagerCore final : private Turn,
     /// Without a journal a task id is known for this life only.
     EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
                       BackEndPort& back_end, ServerPort& server, Storage& storage, ResourceStore& resources,
-                      StopCounter& stop_counter, Journal* journal = nullptr);
+                      StopGenerations& stop_generations, Journal* journal = nullptr);
     EntityManagerCore(const EntityManagerCore&) = delete;
     EntityManagerCore& operator=(const EntityManagerCore&) = delete;
 
@@ -87,9 +87,9 @@ class EntityManagerCore final : private Turn,
     /// What was sent to another entity (ServerPort::sendToPeer) did not arrive; `head` is that of the
     /// message.
     void onPeerRefusal(const Header& head, const Refusal& refusal);
-    /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopCounter.
+    /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopGenerations.
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
-    /// Likewise a drill, under `number` of StopCounter::drill. It measures the way of a stop and changes
+    /// Likewise a drill, under `number` of StopGenerations::drill. It measures the way of a stop and changes
     /// nothing.
     void onDrill(const Header& head, std::uint32_t number);
     /// A stop that has been seen before, under `generation`: its receipt is told again.

@@ -240,7 +240,7 @@ TEST_F(Held, AProfileThatChangesMeanwhileIsKeptAndUploadedAtTheRelease) {
     EXPECT_TRUE(std::any_of(lines.begin(), lines.end(),
                             [](const auto& line) { return line.starts_with("server: profile Third "); }));
     // Once.
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     rig.to_application.clear();
     rig.take("client1", "r2");
     rig.send("client1", release);
@@ -257,7 +257,7 @@ TEST_F(Held, TheNextInTheWaitListGetsTheEntityWithTheProfileThatWasKept) {
     proto::ToEntity release;
     release.mutable_release();
     rig.send("client1", release);
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     ASSERT_NE(rig.core().held(), nullptr);
     EXPECT_EQ(rig.core().held()->holder.id, "client2");
     const auto& grant = rig.to_clients.back().message.check_out();
@@ -307,7 +307,7 @@ TEST_F(Held, ADrillOfTheServerIsAnsweredToItAloneAndItsEndHasItsOwnRoutingKey) {
     rig.to_clients.clear();
     auto head = rig.headOf("drill-1");
     head.msg_type = kMsgDrill;
-    rig.core().onDrill(head, *rig.stop_counter.drill(head.sender.id, head.sequence));
+    rig.core().onDrill(head, *rig.stop_generations.drill(head.sender.id, head.sequence));
     rig.drillDone(1);
     ASSERT_EQ(rig.to_clients.size(), 2U);
     for (const auto& told : rig.to_clients) {
@@ -334,7 +334,7 @@ TEST_F(Held, DrillsChangeNothingHoweverManyThereAre) {
     ASSERT_EQ(refusalOf(rig, "again"), proto::OK);
     rig.grant("again");
     ASSERT_EQ(rig.core().state(), EntityState::BUSY);
-    const auto generation = rig.stop_counter.generation();
+    const auto generation = rig.stop_generations.generation();
     const auto statuses = rig.statuses.size();
     const auto stops = rig.stops.size();
     const auto journaled = [&] {
@@ -345,7 +345,7 @@ TEST_F(Held, DrillsChangeNothingHoweverManyThereAre) {
     const auto journal = journaled();
     for (std::uint32_t i = 1; i <= 1000; ++i) {
         rig.stop("client3", StopCause::Drill);
-        EXPECT_EQ(rig.stop_counter.generation(), generation);
+        EXPECT_EQ(rig.stop_generations.generation(), generation);
         // The holder's messages are those of the newest generation, whether it has heard of the drill or not.
         const auto told = rig.to_clients.size();
         rig.setParam("client1", "s" + std::to_string(i), "Driving", "Speed=300");
@@ -358,7 +358,7 @@ TEST_F(Held, DrillsChangeNothingHoweverManyThereAre) {
     EXPECT_EQ(journaled(), journal);
     EXPECT_EQ(rig.core().state(), EntityState::BUSY);
     rig.stop("client2", StopCause::Requested, sequence);
-    EXPECT_EQ(rig.stop_counter.generation(), generation) << "drills do not push stops out of the memory";
+    EXPECT_EQ(rig.stop_generations.generation(), generation) << "drills do not push stops out of the memory";
 }
 
 TEST_F(Held, ADrillIsAnsweredOnceWhicheverOfNewsAndAnswerIsFirst) {
@@ -369,9 +369,9 @@ TEST_F(Held, ADrillIsAnsweredOnceWhicheverOfNewsAndAnswerIsFirst) {
         });
     };
     const auto head = rig.headOf("client3");
-    const auto number = rig.stop_counter.drill(head.sender.id, head.sequence);
+    const auto number = rig.stop_generations.drill(head.sender.id, head.sequence);
     ASSERT_TRUE(number);
-    EXPECT_FALSE(rig.stop_counter.drill(head.sender.id, head.sequence)) << "the same by another path";
+    EXPECT_FALSE(rig.stop_generations.drill(head.sender.id, head.sequence)) << "the same by another path";
     rig.drillDone(*number);
     EXPECT_EQ(returned(), 0);
     rig.core().onDrill(head, *number);
@@ -396,7 +396,7 @@ TEST_F(Held, TheAnswerToADrillIsNoReceiptOfTheStopBeforeIt) {
         return count;
     };
     rig.stop("client2");
-    const auto stop = rig.stop_counter.generation();
+    const auto stop = rig.stop_generations.generation();
     rig.stop("client3", StopCause::Drill);
     rig.drillDone(1);  // as when the callback of the stop has thrown
     EXPECT_EQ(returned(), 0);
@@ -428,13 +428,13 @@ TEST_F(Held, AStopCallbackThatThrowsIsSaidInTheReceiptAndConfirmsNothing) {
 
 TEST_F(Held, TheAnswerToADrillDoesNotLetTheRobotBeGivenToTheNext) {
     rig.stop("client2");
-    const auto stop = rig.stop_counter.generation();
+    const auto stop = rig.stop_generations.generation();
     rig.stop("client3", StopCause::Drill);
     rig.drillDone(1);
     proto::ToEntity bye;
     bye.mutable_release();
     rig.send("client1", bye);
-    const auto released = rig.stop_counter.generation();
+    const auto released = rig.stop_generations.generation();
     rig.stop("client3", StopCause::Drill);
     rig.drillDone(2);  // the application is still inside the callbacks of both stops
     rig.take("client2", "r2");
@@ -442,7 +442,7 @@ TEST_F(Held, TheAnswerToADrillDoesNotLetTheRobotBeGivenToTheNext) {
     rig.stopDone(stop);
     EXPECT_EQ(rig.core().state(), EntityState::IDLE);
     rig.stopDone(released);
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     EXPECT_EQ(rig.core().state(), EntityState::REG);
 }
 
@@ -452,7 +452,7 @@ TEST_F(Held, NothingIsDispatchedWhileAStopIsOnItsWayToTheStrand) {
     rig.task("client1", "t2", "Turning");
     // The signal thread has raised the generation and told the robot; the strand does not know yet.
     auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.update("t1", proto::TASK_SUCCEEDED);
     EXPECT_EQ(dispatches(rig), 1);
     rig.task("client1", "t3", "Turning");
@@ -467,20 +467,21 @@ TEST_F(Held, AResetDoesNotReviveWhatAStopUnderWayVoids) {
     rig.grant("t1");
     rig.task("client1", "t2", "Turning");
     auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.reset("client1");  // its own stop is newer than the one that is under way
     rig.update("t1", proto::TASK_STOPPED);
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     EXPECT_EQ(dispatches(rig), 1);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     EXPECT_EQ(endOf(rig, "t2"), std::pair(proto::TASK_STOPPED, 1));
     EXPECT_EQ(dispatches(rig), 1);
-    EXPECT_EQ(rig.core().status().stop_generation, static_cast<std::int32_t>(rig.stop_counter.generation()));
+    EXPECT_EQ(rig.core().status().stop_generation,
+              static_cast<std::int32_t>(rig.stop_generations.generation()));
 }
 
 TEST_F(Held, AnAnswerThatIsFasterThanTheNewsOfItsStopIsToldAfterIt) {
     auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.stopDone(*raised);
     rig.stopDone(*raised, proto::StopReceipt::STANDSTILL);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
@@ -495,8 +496,8 @@ TEST_F(Held, AnAnswerThatIsFasterThanTheNewsOfItsStopIsToldAfterIt) {
 TEST_F(Held, StopsThatReachTheStrandInAnotherOrderAreAllHandled) {
     auto first = rig.headOf("client2");
     auto second = rig.headOf("client2");
-    const auto one = rig.stop_counter.raise("client2", first.sequence);
-    const auto two = rig.stop_counter.raise("client2", second.sequence);
+    const auto one = rig.stop_generations.raise("client2", first.sequence);
+    const auto two = rig.stop_generations.raise("client2", second.sequence);
     rig.core().onStopSignal(second, StopCause::Requested, *two);
     rig.core().onStopSignal(first, StopCause::Requested, *one);
     rig.stopDone(*two);
@@ -636,12 +637,12 @@ TEST_F(Held, NoGenerationThatWasToldIsAboveWhereTheNextLifeBegins) {
     for (const int stops : {3, 2500}) {
         for (int i = 0; i < stops; ++i) rig.stop("client2");
         SeededRandom random(7);
-        StopCounter stop_counter;  // a new process, killed at any moment before
+        StopGenerations stop_generations;  // a new process, killed at any moment before
         auto disk = rig.storage;
         const EntityManagerCore next({.application = "rig"}, rig.clock, random, rig, rig, disk, rig.resources,
-                                     stop_counter);
+                                     stop_generations);
         EXPECT_GE(next.status().stop_generation, rig.core().status().stop_generation);
-        EXPECT_EQ(static_cast<std::int32_t>(stop_counter.generation()), next.status().stop_generation);
+        EXPECT_EQ(static_cast<std::int32_t>(stop_generations.generation()), next.status().stop_generation);
     }
 }
 
@@ -716,7 +717,7 @@ TEST(EntityManagerCore, ARobotThatWasFreeAndUnlatchedComesUpLatchedWhenPartOfIts
 TEST(EntityManagerCore, AStopOnItsWayAsTheLinkComesUpHoldsUpNoCheckOut) {
     CoreRig rig;
     const auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.linkUp();
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     rig.uploadProfiles();
@@ -758,11 +759,11 @@ TEST_F(Held, TheLinkIsNotLeftBusyWhenItIsLostInTheMiddleOfATask) {
 
 TEST_F(Held, ARepeatedStopIsAnsweredWithItsReceiptAndStopsNothingMore) {
     const auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     rig.stopDone(*raised);
-    EXPECT_FALSE(rig.stop_counter.raise("client2", head.sequence));
-    ASSERT_EQ(rig.stop_counter.raisedBy("client2", head.sequence), raised);
+    EXPECT_FALSE(rig.stop_generations.raise("client2", head.sequence));
+    ASSERT_EQ(rig.stop_generations.raisedBy("client2", head.sequence), raised);
     rig.takeLines();
     rig.core().onStopRepeated(head, StopCause::Requested, *raised);
     const auto lines = rig.takeLines();
@@ -773,7 +774,7 @@ TEST_F(Held, ARepeatedStopIsAnsweredWithItsReceiptAndStopsNothingMore) {
 
 TEST_F(Held, ALateCopyOfAStopAfterTheRearmStopsAndLatchesNothing) {
     const auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     rig.stopDone(*raised);
     rig.rearm("client1", "r2");
@@ -783,7 +784,7 @@ TEST_F(Held, ALateCopyOfAStopAfterTheRearmStopsAndLatchesNothing) {
     rig.stop("client2", StopCause::Requested, head.sequence);
     EXPECT_FALSE(rig.core().latched());
     EXPECT_EQ(rig.core().state(), EntityState::BUSY);
-    EXPECT_EQ(rig.stop_counter.generation(), *raised);
+    EXPECT_EQ(rig.stop_generations.generation(), *raised);
 }
 
 TEST_F(Held, ALateCopyOfAResetOrClearEndsNotTheNextTask) {
@@ -793,15 +794,15 @@ TEST_F(Held, ALateCopyOfAResetOrClearEndsNotTheNextTask) {
         const auto head = rig.headOf("client1");
         const auto signal = [&] { reset ? rig.core().onResetSignal(head) : rig.core().onClearSignal(head); };
         signal();
-        rig.stopDone(rig.stop_counter.generation());
+        rig.stopDone(rig.stop_generations.generation());
         rig.update(reset ? "t1" : "t3", proto::TASK_STOPPED);
         rig.task("client1", reset ? "t2" : "t4", "Turning");
         rig.grant(reset ? "t2" : "t4");
         ASSERT_EQ(rig.core().state(), EntityState::BUSY);
-        const auto generation = rig.stop_counter.generation();
+        const auto generation = rig.stop_generations.generation();
         signal();
         EXPECT_EQ(rig.core().state(), EntityState::BUSY);
-        EXPECT_EQ(rig.stop_counter.generation(), generation);
+        EXPECT_EQ(rig.stop_generations.generation(), generation);
         rig.update(reset ? "t2" : "t4", proto::TASK_SUCCEEDED);
     }
 }
@@ -838,40 +839,41 @@ TEST_F(Held, ShortTasksOneAfterAnotherDoNotHideASilentServer) {
 
 TEST_F(Held, AStopUnderANumberThatWasUsedBeforeIsCarriedOutAndNotConfirmedByTheOlderOne) {
     const auto head = rig.headOf("client2");
-    const auto first = rig.stop_counter.raise("client2", head.sequence);
+    const auto first = rig.stop_generations.raise("client2", head.sequence);
     rig.core().onStopSignal(head, StopCause::Requested, *first);
     rig.stopDone(*first);
     rig.rearm("client1", "r2");
     rig.task("client1", "t1", "Turning");
     rig.grant("t1");
     rig.takeLines();
-    EXPECT_FALSE(rig.stop_counter.raise("client2", head.sequence, 0))
+    EXPECT_FALSE(rig.stop_generations.raise("client2", head.sequence, 0))
         << "a copy that was on its way all the time";
     rig.core().onStopRepeated(head, StopCause::Requested, *first);
     EXPECT_TRUE(rig.takeLines().empty()) << "what runs has not been stopped by it";
-    const auto second = rig.stop_counter.raise("client2", head.sequence, *first);
+    const auto second = rig.stop_generations.raise("client2", head.sequence, *first);
     ASSERT_TRUE(second) << "its sender knew of the first one";
-    EXPECT_EQ(rig.stop_counter.raisedBy("client2", head.sequence), second);
-    EXPECT_FALSE(rig.stop_counter.raise("client2", head.sequence, *first)) << "by the other path";
+    EXPECT_EQ(rig.stop_generations.raisedBy("client2", head.sequence), second);
+    EXPECT_FALSE(rig.stop_generations.raise("client2", head.sequence, *first)) << "by the other path";
 }
 
-TEST(StopCounter, AStopThatIsRepeatedBeforeARearmIsOneWhateverItsSenderKnows) {
-    StopCounter stop_counter;
-    const auto first = stop_counter.raise("browser", 1, 0);
-    EXPECT_FALSE(stop_counter.raise("browser", 1, *first));
+TEST(StopGenerations, AStopThatIsRepeatedBeforeARearmIsOneWhateverItsSenderKnows) {
+    StopGenerations stop_generations;
+    const auto first = stop_generations.raise("browser", 1, 0);
+    EXPECT_FALSE(stop_generations.raise("browser", 1, *first));
 }
 
-TEST(StopCounter, AStopWithoutASequenceNumberIsAlwaysNew) {
-    StopCounter stop_counter;
-    for (const std::int64_t sequence : {0, 0, -1, -1}) EXPECT_TRUE(stop_counter.raise("browser", sequence));
-    EXPECT_TRUE(stop_counter.raise("browser", 1));
-    EXPECT_FALSE(stop_counter.raise("browser", 1));
-    EXPECT_EQ(stop_counter.generation(), 5U);
+TEST(StopGenerations, AStopWithoutASequenceNumberIsAlwaysNew) {
+    StopGenerations stop_generations;
+    for (const std::int64_t sequence : {0, 0, -1, -1})
+        EXPECT_TRUE(stop_generations.raise("browser", sequence));
+    EXPECT_TRUE(stop_generations.raise("browser", 1));
+    EXPECT_FALSE(stop_generations.raise("browser", 1));
+    EXPECT_EQ(stop_generations.generation(), 5U);
 }
 
 TEST_F(Held, ACommandSentWhileAStopIsCarriedOutIsToldSo) {
     const auto head = rig.headOf("client2");
-    rig.stop_counter.raise("client2", head.sequence);
+    rig.stop_generations.raise("client2", head.sequence);
     rig.generation = 1;
     rig.task("client1", "t1", "Turning");
     const auto& reason = rig.to_clients.back().message.task().reason();
@@ -1153,7 +1155,7 @@ TEST_F(SlowStore, TheEndOfTheLeaseEndsAnUploadThatWaitsAndNotOneThatIsAccepted) 
     say({});
     EXPECT_EQ(rig.core().counters().unexpected, unexpected + 1) << "nobody asks any more";
 
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     rig.take("client1", "r2");
     rig.send("client1", [&] {
         auto again = mapOffer("map");

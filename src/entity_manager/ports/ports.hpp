@@ -51,9 +51,9 @@ class BackEndPort {
     /// the core learns of it as onLinkDown. False when the message is larger than a frame: nothing was sent.
     virtual bool send(const proto::EmToEi& message) = 0;
     /// Signal lane. Idempotent by generation: the EI calls the application once per generation. A drill has a
-    /// number of its own (StopCounter::drill) in its place, and the EI answers it without the application.
-    /// Any thread; never blocks, takes no lock that data holds. Does nothing when the link is down (the EI
-    /// has stopped by itself then).
+    /// number of its own (StopGenerations::drill) in its place, and the EI answers it without the
+    /// application. Any thread; never blocks, takes no lock that data holds. Does nothing when the link is
+    /// down (the EI has stopped by itself then).
     virtual void stop(std::uint32_t generation, StopCause cause) = 0;
     /// Whether a task runs: heartbeat period and watchdog of the link (safety.md, "Watchdogs": 250 ms
     /// and 500 ms).

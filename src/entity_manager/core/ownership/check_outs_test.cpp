@@ -34,7 +34,7 @@ struct Ownership : testing::Test {
     void lose(const std::string& client) {
         rig.core().onClientUpdate(rig.headOf(client), ClientChange::Lost);
     }
-    void standStill() { rig.stopDone(rig.stop_counter.generation()); }
+    void standStill() { rig.stopDone(rig.stop_generations.generation()); }
     /// The last answer to this client's check-out.
     const proto::CheckOutReply& answer(const std::string& client) {
         for (auto at = rig.to_clients.rbegin(); at != rig.to_clients.rend(); ++at)
@@ -117,10 +117,10 @@ TEST_F(Ownership, ALostClientComesBackAsAnotherSessionOnlyAfterTheRobotStands) {
                             }),
               1);
     // The news of the loss comes late, or twice.
-    const auto generation = rig.stop_counter.generation();
+    const auto generation = rig.stop_generations.generation();
     lose("client1");
     EXPECT_EQ(holder(), "client1b");
-    EXPECT_EQ(rig.stop_counter.generation(), generation);
+    EXPECT_EQ(rig.stop_generations.generation(), generation);
     EXPECT_EQ(rearm("client1b"), proto::OK);
     EXPECT_EQ(rearm("client1"), proto::NOT_HOLDER);
 }

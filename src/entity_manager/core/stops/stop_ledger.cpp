@@ -17,7 +17,7 @@ namespace axon::entity_manager {
 
 namespace {
 
-constexpr std::size_t kOpenStops = 32;  // as many as StopCounter knows
+constexpr std::size_t kOpenStops = 32;  // as many as StopGenerations knows
 constexpr std::size_t kOpenDrills = 64;
 constexpr Duration kComesToRest = std::chrono::seconds{10};
 constexpr std::uint32_t kGenerationsReserved = 1000;
@@ -25,7 +25,7 @@ constexpr std::uint32_t kGenerationsReserved = 1000;
 constexpr const char* kLinkedKey = "application_linked";
 
 /// Where the generations of this life begin: above all that an earlier one has told, however it ended.
-std::uint32_t firstGeneration(Storage& storage, StopCounter& stop_counter) {
+std::uint32_t firstGeneration(Storage& storage, StopGenerations& stop_generations) {
     if (const auto text = storage.load(kGenerationKey)) {
         std::uint32_t stored = 0;
         const auto [end, error] = std::from_chars(text->data(), text->data() + text->size(), stored);
@@ -33,9 +33,9 @@ std::uint32_t firstGeneration(Storage& storage, StopCounter& stop_counter) {
             throw std::runtime_error(
                 "The stored value \"stop_generation\" is damaged: expected a number, found \"" + *text +
                 "\". Remove it only when all clients of this entity have been restarted.");
-        stop_counter.continueFrom(stored);
+        stop_generations.continueFrom(stored);
     }
-    return stop_counter.generation();
+    return stop_generations.generation();
 }
 
 /// A next life must not begin at or below a generation that this one tells.
@@ -55,12 +55,12 @@ bool confirms(const proto::StopDone& done) {
 
 }  // namespace
 
-StopLedger::StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, BackEndPort& back_end)
+StopLedger::StopLedger(Turn& turn, Storage& storage, StopGenerations& stop_generations, BackEndPort& back_end)
     : turn_(turn),
       storage_(storage),
-      stop_counter_(stop_counter),
+      stop_generations_(stop_generations),
       back_end_(back_end),
-      generation_(firstGeneration(storage, stop_counter)),
+      generation_(firstGeneration(storage, stop_generations)),
       required_(generation_) {
     link_kept_ = storage.load(kLinkedKey).has_value();
     if (link_kept_)
@@ -81,7 +81,8 @@ Refusal StopLedger::whyNot(std::int32_t known) const {
     // A stop that the signal thread has passed on already and that is still on its way to this strand counts.
     if (!allHandled())
         return {RefusalCode::OldGeneration,
-                "A stop is being carried out (stop generation " + std::to_string(stop_counter_.generation()) +
+                "A stop is being carried out (stop generation " +
+                    std::to_string(stop_generations_.generation()) +
                     "). Look at the entity, then send it again.",
                 {}};
     if (isOutdated(seen))
@@ -99,7 +100,7 @@ Refusal StopLedger::whyNot(std::int32_t known) const {
 
 void StopLedger::rearmed() {
     rearmed_ = generation_;
-    stop_counter_.rearmed(generation_);
+    stop_generations_.rearmed(generation_);
 }
 
 /// Notes that a stop has had its effect here. `own`: raised by this strand, not by the signal thread.
@@ -126,8 +127,8 @@ void StopLedger::linkUp() {
     if (!std::exchange(link_kept_, true)) storage_.keep(kLinkedKey, "1");
     // It has stopped by itself when its last link ended: before all stops so far, those on their way here
     // included.
-    link_generation_ = commanded_ = confirmed_ = stop_counter_.generation();
-    link_drill_ = stop_counter_.drills();
+    link_generation_ = commanded_ = confirmed_ = stop_generations_.generation();
+    link_drill_ = stop_generations_.drills();
 }
 
 void StopLedger::linkDown(const std::string& reason, LinkEnd end) {
@@ -168,7 +169,7 @@ bool StopLedger::owed() const {
 }
 
 std::uint32_t StopLedger::order(StopCause cause, bool voids) {
-    const auto generation = mustRaise(cause) ? stop_counter_.raise() : stop_counter_.generation();
+    const auto generation = mustRaise(cause) ? stop_generations_.raise() : stop_generations_.generation();
     back_end_.stop(generation, cause);
     handled(generation, true, voids);
     return generation;
@@ -232,7 +233,7 @@ void StopLedger::settle() {
 }
 
 void StopLedger::stopDone(const proto::StopDone& done) {
-    if (done.stop_generation() > stop_counter_.generation()) {
+    if (done.stop_generation() > stop_generations_.generation()) {
         ++turn_.count().unexpected;
         return;
     }
@@ -318,7 +319,7 @@ void StopLedger::forgetADrill() {
 }
 
 void StopLedger::drillDone(std::uint32_t number) {
-    if (number > stop_counter_.drills()) {
+    if (number > stop_generations_.drills()) {
         ++turn_.count().unexpected;
         return;
     }

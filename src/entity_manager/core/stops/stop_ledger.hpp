@@ -12,7 +12,7 @@
 #include "common/planted_bug.hpp"
 #include "entity_manager/core/turn/turn.hpp"
 #include "entity_manager/ports/ports.hpp"
-#include "entity_manager/ports/stop_counter.hpp"
+#include "entity_manager/ports/stop_generations.hpp"
 
 namespace axon::entity_manager {
 
@@ -22,8 +22,9 @@ inline constexpr const char* kGenerationKey =
 /// Which stops were ordered, commanded to the robot application and confirmed by it; how far each has come,
 /// and who is told so (safety.md, "What a receipt says").
 ///
-/// It owns the strand's stop generation. StopCounter gives every stop its generation on the signal thread,
-/// which passes the stop on at once; the strand hears of it later, so for a moment StopCounter is ahead
+/// It owns the strand's stop generation. StopGenerations gives every stop its generation on the signal
+/// thread, which passes the stop on at once; the strand hears of it later, so for a moment StopGenerations is
+/// ahead
 /// (`allHandled()` is false), and the answer of the application may overtake the news. It also owns what is
 /// known of an application that was lost, because that is what a receipt tells when nobody can confirm the
 /// stop.
@@ -33,7 +34,7 @@ class StopLedger {
   public:
     /// `storage` has how far earlier lives have counted: this one begins above. Throws std::runtime_error
     /// where that value is damaged.
-    StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, BackEndPort& back_end);
+    StopLedger(Turn& turn, Storage& storage, StopGenerations& stop_generations, BackEndPort& back_end);
 
     // Generations.
 
@@ -42,7 +43,7 @@ class StopLedger {
     /// A command counts only if its sender had seen at least this one.
     std::uint32_t required() const { return required_; }
     /// Whether the strand has handled every stop that the signal thread has passed on.
-    bool allHandled() const { return stop_counter_.generation() == generation_; }
+    bool allHandled() const { return stop_generations_.generation() == generation_; }
     /// OK, or why a command whose sender had seen generation `seen` is not carried out.
     Refusal whyNot(std::int32_t seen) const;
     /// Whether the application has confirmed every stop, those included that the strand has not handled yet.
@@ -129,7 +130,7 @@ class StopLedger {
 
     Turn& turn_;
     Storage& storage_;
-    StopCounter& stop_counter_;
+    StopGenerations& stop_generations_;
     BackEndPort& back_end_;
 
     std::uint32_t generation_;

@@ -39,7 +39,7 @@ struct StopLedgers : testing::Test {
         return answer;
     }
     std::uint32_t stop(const std::string& client, std::int64_t sequence) {
-        const auto generation = *stop_counter.raise(client, sequence);
+        const auto generation = *stop_generations.raise(client, sequence);
         ledger.arrived(generation);
         ledger.acknowledge(from(client, sequence), StopCause::Requested, generation, true, std::nullopt);
         return generation;
@@ -47,14 +47,14 @@ struct StopLedgers : testing::Test {
     StopReceipt::Stage lastStage() const { return turn.told.back().message.receipt().stage(); }
 
     test::MemoryStorage storage;
-    StopCounter stop_counter;
+    StopGenerations stop_generations;
     NotingBackEnd back_end;
     test::FakeTurn turn;
-    StopLedger ledger{turn, storage, stop_counter, back_end};
+    StopLedger ledger{turn, storage, stop_generations, back_end};
 };
 
 TEST_F(StopLedgers, AnAnswerThatOvertakesTheNewsOfItsStopConfirmsItOnceThatHasCome) {
-    const auto generation = *stop_counter.raise("client1", 1);  // the signal thread has passed it on
+    const auto generation = *stop_generations.raise("client1", 1);  // the signal thread has passed it on
     ledger.answered(done(generation));
     ledger.settle();
     EXPECT_FALSE(ledger.standing());
@@ -68,7 +68,7 @@ TEST_F(StopLedgers, AnAnswerThatOvertakesTheNewsOfItsStopConfirmsItOnceThatHasCo
 }
 
 TEST_F(StopLedgers, AnOwnStopDoesNotHideOneThatIsStillOnItsWayToTheStrand) {
-    const auto under_way = *stop_counter.raise("client1", 1);
+    const auto under_way = *stop_generations.raise("client1", 1);
     const auto own = ledger.order(StopCause::ServerLost, true);
     EXPECT_EQ(back_end.stopped, std::vector{own});
     EXPECT_LT(ledger.generation(), under_way);
@@ -85,13 +85,13 @@ TEST_F(StopLedgers, ACommandCountsOnlyIfItsSenderHadSeenTheNewestStop) {
     EXPECT_EQ(ledger.whyNot(0).code, RefusalCode::OldGeneration);
     EXPECT_EQ(ledger.whyNot(1).code, RefusalCode::Ok);
     EXPECT_EQ(ledger.whyNot(2).code, RefusalCode::Malformed);
-    stop_counter.raise("client2", 1);
+    stop_generations.raise("client2", 1);
     EXPECT_EQ(ledger.whyNot(1).code, RefusalCode::OldGeneration) << "a stop is on its way to the strand";
 }
 
 TEST_F(StopLedgers, ANextLifeBeginsAboveEveryGenerationThatWasTold) {
     for (int i = 0; i < 2500; ++i) ledger.order(StopCause::LinkLost, true);
-    StopCounter next_stops;
+    StopGenerations next_stops;
     const StopLedger next(turn, storage, next_stops, back_end);
     EXPECT_GT(next.generation(), ledger.generation());
     EXPECT_EQ(next_stops.generation(), next.generation());
@@ -99,7 +99,7 @@ TEST_F(StopLedgers, ANextLifeBeginsAboveEveryGenerationThatWasTold) {
 
 TEST_F(StopLedgers, ADamagedGenerationIsNoReasonToBeginAtZero) {
     storage.save(kGenerationKey, "12x");
-    StopCounter next_stops;
+    StopGenerations next_stops;
     EXPECT_THROW(StopLedger(turn, storage, next_stops, back_end), std::runtime_error);
 }
 

@@ -105,7 +105,7 @@ TEST_F(Stops, AnApplicationThatComesBackIsGivenTheStopAndConfirmsIt) {
     run("t1");
     rig.core().onLinkDown("silent", LinkEnd::Silent);
     const auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     const auto before = rig.stops.size();
     comeBack();
@@ -142,7 +142,7 @@ TEST_F(Stops, TheNextLifeOfTheEntityManagerKnowsThatItsApplicationIsMissing) {
     rig.to_clients.clear();
     comeBack();
     rig.core().onServerUp();
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     rig.core().onLinkDown("closed", LinkEnd::Closed);
     rig.stop("client2");
     EXPECT_EQ(last("client2").absence(), StopReceipt::GONE);
@@ -229,7 +229,7 @@ TEST_F(Stops, AStandstillConfirmsNoCallback) {
 TEST_F(Stops, ATaskThatEndsBeforeTheStrandHearsOfItsStopLeavesARobotThatMoves) {
     run("t1");
     const auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);  // the signal thread
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);  // the signal thread
     rig.stopDone(*raised, StopReceipt::CALLBACK_RETURNED, true);
     rig.update("t1", proto::TASK_STOPPED);
     EXPECT_TRUE(rig.busy);
@@ -256,7 +256,7 @@ TEST_F(Stops, OfARobotThatStoodOrWhoseApplicationDoesNotSayItIsNotWaitedFor) {
 TEST_F(Stops, WhoAsksAgainAfterTheLastStageIsToldTheLastStage) {
     run("t1");
     const auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     rig.stopDone(*raised);
     rig.stopDone(*raised, StopReceipt::STANDSTILL);

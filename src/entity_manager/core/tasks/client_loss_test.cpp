@@ -39,7 +39,7 @@ struct ClientLoss : testing::Test {
         rig.stop(client, StopCause::ClientLost);
         rig.core().onClientUpdate(rig.headOf(client), ClientChange::Lost);
     }
-    void confirm() { rig.stopDone(rig.stop_counter.generation()); }
+    void confirm() { rig.stopDone(rig.stop_generations.generation()); }
     proto::TaskEvent lastOf(const std::string& task) const {
         for (auto at = rig.to_clients.rbegin(); at != rig.to_clients.rend(); ++at)
             if (at->message.has_task() && at->message.task().task_id() == idOf(task))
@@ -62,7 +62,7 @@ struct ClientLoss : testing::Test {
 
 TEST_F(ClientLoss, WithoutAPolicyTheRobotStopsAtOnceAndIsLatched) {
     run("t1", "Drive");
-    EXPECT_FALSE(rig.stop_counter.sparesClientLoss());
+    EXPECT_FALSE(rig.stop_generations.sparesClientLoss());
     lose();
     EXPECT_FALSE(rig.stops.empty());
     EXPECT_EQ(lastOf("t1").state(), proto::TASK_STOPPED);
@@ -72,7 +72,7 @@ TEST_F(ClientLoss, WithoutAPolicyTheRobotStopsAtOnceAndIsLatched) {
 
 TEST_F(ClientLoss, FinishRunsToItsEndAndTheEntityIsNobodysUntilThen) {
     run("t1", "Deliver");
-    EXPECT_TRUE(rig.stop_counter.sparesClientLoss());
+    EXPECT_TRUE(rig.stop_generations.sparesClientLoss());
     lose();
     EXPECT_TRUE(rig.stops.empty());
     EXPECT_FALSE(rig.core().latched());
@@ -84,7 +84,7 @@ TEST_F(ClientLoss, FinishRunsToItsEndAndTheEntityIsNobodysUntilThen) {
     rig.update("t1", proto::TASK_SUCCEEDED);
     EXPECT_EQ(status().state, EntityState::IDLE);
     EXPECT_FALSE(rig.core().latched());
-    EXPECT_FALSE(rig.stop_counter.sparesClientLoss());
+    EXPECT_FALSE(rig.stop_generations.sparesClientLoss());
     confirm();
     EXPECT_EQ(takes("client2", "r3"), proto::OK);
 }
@@ -168,17 +168,17 @@ TEST_F(ClientLoss, HeldAndRunningAgainByItselfIsStopped) {
 TEST_F(ClientLoss, WhatIsInDoubtStops) {
     for (const char* service : {"Stiff", "Drive"}) {
         run(service, service);
-        EXPECT_FALSE(rig.stop_counter.sparesClientLoss()) << service;
+        EXPECT_FALSE(rig.stop_generations.sparesClientLoss()) << service;
         rig.update(service, proto::TASK_SUCCEEDED);
     }
     run("t1", "Deliver");
-    EXPECT_TRUE(rig.stop_counter.sparesClientLoss());
+    EXPECT_TRUE(rig.stop_generations.sparesClientLoss());
     rig.task("client1", "t2", "Follow");
-    EXPECT_FALSE(rig.stop_counter.sparesClientLoss()) << "a task that has not been granted yet";
+    EXPECT_FALSE(rig.stop_generations.sparesClientLoss()) << "a task that has not been granted yet";
     rig.grant("t2");
-    EXPECT_TRUE(rig.stop_counter.sparesClientLoss());
+    EXPECT_TRUE(rig.stop_generations.sparesClientLoss());
     run("t3", "Drive");
-    EXPECT_FALSE(rig.stop_counter.sparesClientLoss()) << "the strictest counts";
+    EXPECT_FALSE(rig.stop_generations.sparesClientLoss()) << "the strictest counts";
     lose();
     EXPECT_EQ(lastOf("t1").state(), proto::TASK_STOPPED);
     EXPECT_FALSE(rig.stops.empty());
@@ -199,14 +199,14 @@ TEST_F(ClientLoss, AStopOfAnybodyRightAfterASparedLossStops) {
     run("t1", "Deliver");
     // The signal thread spares the loss and at once passes on a stop; the strand hears of both later.
     auto lost = rig.headOf("client1");
-    ASSERT_TRUE(rig.stop_counter.sparesClientLoss());
+    ASSERT_TRUE(rig.stop_generations.sparesClientLoss());
     auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise("client2", head.sequence);
+    const auto raised = rig.stop_generations.raise("client2", head.sequence);
     rig.core().onClientUpdate(lost, ClientChange::Lost);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     EXPECT_EQ(lastOf("t1").state(), proto::TASK_STOPPED);
     EXPECT_TRUE(rig.core().latched());
-    EXPECT_FALSE(rig.stop_counter.sparesClientLoss());
+    EXPECT_FALSE(rig.stop_generations.sparesClientLoss());
 }
 
 TEST_F(ClientLoss, AStopWhileATaskFinishesAloneStops) {
@@ -227,7 +227,7 @@ TEST_F(ClientLoss, AStopWhileATaskFinishesAloneStops) {
 
 TEST_F(ClientLoss, ALossThatWasSparedTooEarlyIsMadeUpForOnTheStrand) {
     run("t1", "Deliver");
-    ASSERT_TRUE(rig.stop_counter.sparesClientLoss());  // the signal thread looks here …
+    ASSERT_TRUE(rig.stop_generations.sparesClientLoss());  // the signal thread looks here …
     const auto lost = rig.headOf("client1");
     run("t2", "Drive");                                   // … the strand dispatches something else …
     rig.core().onClientUpdate(lost, ClientChange::Lost);  // … and then hears of the loss
@@ -256,7 +256,7 @@ TEST_F(ClientLoss, TheLossOfTheLinkIsAnUnknownOutcome) {
     run("t1", "Deliver");
     lose();
     rig.core().onLinkDown("pulled");
-    EXPECT_FALSE(rig.stop_counter.sparesClientLoss());
+    EXPECT_FALSE(rig.stop_generations.sparesClientLoss());
     EXPECT_TRUE(std::any_of(rig.journal.records.begin(), rig.journal.records.end(),
                             [](const auto& record) { return record.code == "TASK_UNKNOWN"; }));
 }

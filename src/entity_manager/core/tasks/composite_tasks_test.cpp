@@ -419,7 +419,7 @@ TEST_F(CompositeTasks, AStopOnItsWayHereIsBeforeTheNextPart) {
     rig.task("client1", "t1", "Tour");
     rig.grant("part1");
     const auto head = rig.headOf("client2");
-    const auto raised = rig.stop_counter.raise(head.sender.id, head.sequence);  // by the signal thread
+    const auto raised = rig.stop_generations.raise(head.sender.id, head.sequence);  // by the signal thread
     rig.update("part1", proto::TASK_SUCCEEDED);
     EXPECT_EQ(dispatched().size(), 1U);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);

@@ -30,14 +30,14 @@ constexpr double kLongestNotAfter_s = 1e6;
 }  // namespace
 
 Tasks::Tasks(Turn& turn, Others& others, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
-             StopCounter& stop_counter, RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory,
-             Settings settings)
+             StopGenerations& stop_generations, RandomSource& random, ServiceProfiler& profiler,
+             TaskMemory& memory, Settings settings)
     : turn_(turn),
       others_(others),
       journal_(journal),
       back_end_(back_end),
       store_(store),
-      stop_counter_(stop_counter),
+      stop_generations_(stop_generations),
       random_(random),
       profiler_(profiler),
       memory_(memory),
@@ -119,7 +119,7 @@ bool Tasks::mayStart() const {
 
 /// A stop that the signal thread has passed on and that has not come here yet voids the queue.
 bool Tasks::isOvertakenByAStop(const Task& task) const {
-    return task.generation != stop_counter_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked);
+    return task.generation != stop_generations_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked);
 }
 
 /// In order of arrival: a task that must wait holds back those behind it, or it might wait for ever.
@@ -575,7 +575,7 @@ void Tasks::settle() {
         busy_told_ = occupied;
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
     }
-    stop_counter_.spareClientLoss(survivesClientLoss());
+    stop_generations_.spareClientLoss(survivesClientLoss());
 }
 
 void Tasks::shutDown() {

@@ -19,7 +19,7 @@
 #include "entity_manager/core/turn/incident.hpp"
 #include "entity_manager/core/turn/turn.hpp"
 #include "entity_manager/ports/ports.hpp"
-#include "entity_manager/ports/stop_counter.hpp"
+#include "entity_manager/ports/stop_generations.hpp"
 
 namespace axon::entity_manager {
 
@@ -54,8 +54,8 @@ class Tasks final : public Owner {
         virtual void removeResource(const std::string& service, const std::string& resource) = 0;
     };
     Tasks(Turn& turn, Others& others, JournalWriter& journal, BackEndPort& back_end, ResourceStore& store,
-          StopCounter& stop_counter, RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory,
-          Settings settings);
+          StopGenerations& stop_generations, RandomSource& random, ServiceProfiler& profiler,
+          TaskMemory& memory, Settings settings);
 
     // Actions of the state table.
 
@@ -188,7 +188,7 @@ class Tasks final : public Owner {
     JournalWriter& journal_;
     BackEndPort& back_end_;
     ResourceStore& store_;
-    StopCounter& stop_counter_;
+    StopGenerations& stop_generations_;
     RandomSource& random_;
     ServiceProfiler& profiler_;
     TaskMemory& memory_;

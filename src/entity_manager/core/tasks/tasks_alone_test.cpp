@@ -114,7 +114,7 @@ struct TheTasks : testing::Test {
     }
     /// As the signal thread and then the strand do it.
     void stop() {
-        turn.stopped.generation = stop_counter.raise();
+        turn.stopped.generation = stop_generations.raise();
         turn.stopped.standing = false;
         Incident stopped{Event::Stop};
         stopped.reason = {RefusalCode::Stopped, "Stopped.", {}};
@@ -130,10 +130,11 @@ struct TheTasks : testing::Test {
     JournalWriter journal{turn, &noted};
     NotingBackEnd back_end;
     NotingOthers others;
-    StopCounter stop_counter;
+    StopGenerations stop_generations;
     ServiceProfiler profiler;
     TaskMemory memory;
-    Tasks tasks{turn, others, journal, back_end, store, stop_counter, random, profiler, memory, {3, 5s, 10s}};
+    Tasks tasks{turn,   others,   journal, back_end,    store, stop_generations,
+                random, profiler, memory,  {3, 5s, 10s}};
 };
 
 TEST_F(TheTasks, WaitInTheOrderOfTheirArrivalBehindWhatExcludesThem) {
@@ -197,7 +198,7 @@ TEST_F(TheTasks, AreNotDispatchedUnderAnOlderGenerationThanTheSignalThreadHasRai
     turn.stopped.standing = false;
     admit('a', "Driving");
     turn.stopped.standing = true;
-    turn.stopped.generation = stop_counter.raise();
+    turn.stopped.generation = stop_generations.raise();
     turn.stopped.all_handled = false;
     tasks.restamp();
     tasks.dispatchNext();
@@ -297,7 +298,7 @@ TEST_F(TheTasks, GoOnWithoutTheirClientOnlyWhereAllThatRunsMay) {
     grant('a');
     EXPECT_TRUE(tasks.survivesClientLoss());
     tasks.settle();
-    EXPECT_TRUE(stop_counter.sparesClientLoss()) << "the signal thread is told";
+    EXPECT_TRUE(stop_generations.sparesClientLoss()) << "the signal thread is told";
     admit('b', "Singing");
     grant('b');
     EXPECT_FALSE(tasks.survivesClientLoss());

@@ -67,7 +67,7 @@ void Tasks::sendPart(ActiveTask& active) {
         busy_told_ = true;
         back_end_.setBusy(true);
     }
-    stop_counter_.spareClientLoss(false);
+    stop_generations_.spareClientLoss(false);
     const auto& task = active.task;
     active.sent = task.plan.composite ? Id128::random(random_) : task.id;
     active.answered = false;

@@ -329,7 +329,7 @@ TEST(SlowJournalAlone, WhateverVoidsTheQueueVoidsTheTaskThatWaitsForItsEntry) {
             rig.core().onStored();
         };
         answer();
-        rig.stopDone(rig.stop_counter.generation());
+        rig.stopDone(rig.stop_generations.generation());
         rig.rearm("client1", "rearm");
         answer();
         EXPECT_EQ(dispatches(rig, "t1"), 0);
@@ -341,7 +341,8 @@ TEST(SlowJournalAlone, WhateverVoidsTheQueueVoidsTheTaskThatWaitsForItsEntry) {
 
 TEST_F(SlowJournal, AStopThatIsOnItsWayAsTheEntryIsWrittenLetsNothingBegin) {
     rig.task("client1", "t1", "Turning");
-    rig.stop_counter.raise("client2", 1);  // the signal thread has passed it on, the strand does not know it
+    rig.stop_generations.raise("client2",
+                               1);  // the signal thread has passed it on, the strand does not know it
     answer();
     EXPECT_EQ(dispatches(rig, "t1"), 0);
 }
@@ -383,7 +384,7 @@ TEST_F(Tasks, TheHolderIsToldHowItsLastTasksHaveEndedWhenItAsks) {
     proto::ToEntity release;
     release.mutable_release();
     rig.send("client1", release);
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     rig.take("client2", "r2");
     EXPECT_EQ(statusFor(rig, "client2").ended_size(), 0);
 }
@@ -415,7 +416,7 @@ TEST_F(Tasks, ATaskThatWaitedTooLongIsExpiredBehindOthersAndAfterAStandstill) {
     rig.reset("client1");
     rig.update("t1", proto::TASK_STOPPED);
     rig.clock.advance(4s);  // nobody has called the timer yet
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     EXPECT_EQ(lastOf(rig, "t3").reason().code(), proto::EXPIRED);
     EXPECT_EQ(dispatches(rig, "t2") + dispatches(rig, "t3"), 0);
 }
@@ -490,7 +491,7 @@ TEST_F(SavableValues, SurviveANewLinkTheProfileReadAnewAndARestart) {
     proto::ToEntity release;
     release.mutable_release();
     rig.send("client1", release);
-    rig.stopDone(rig.stop_counter.generation());
+    rig.stopDone(rig.stop_generations.generation());
     rig.uploadProfiles();
     EXPECT_EQ(speed(), "300mm/s");
     rig.restart();

@@ -82,11 +82,12 @@ class SignalSocket {
 
 class BackEndInterface::Connections : public std::enable_shared_from_this<Connections> {
   public:
-    Connections(asio::any_io_executor strand, BackEndSettings settings, const StopCounter& stop_counter,
-                const Clock& clock, RandomSource& random, BackEndEvents& events)
+    Connections(asio::any_io_executor strand, BackEndSettings settings,
+                const StopGenerations& stop_generations, const Clock& clock, RandomSource& random,
+                BackEndEvents& events)
         : strand_(std::move(strand)),
           settings_(std::move(settings)),
-          stop_counter_(stop_counter),
+          stop_generations_(stop_generations),
           clock_(clock),
           random_(random),
           events_(events),
@@ -444,7 +445,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         signs_.allow(watchdog_.timeout(), now());
         signs_.heard(now());
         told_ = {};
-        announced_ = stop_counter_.generation();
+        announced_ = stop_generations_.generation();
         generation_seen_ = announced_;
         signal_.store(duplicate);
         onBeatTimer();
@@ -564,7 +565,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     void beat() {
         // The level heals itself: a generation that was raised a whole period ago, and never given to stop(),
         // is announced here. Younger ones are about to arrive with their cause.
-        const auto generation = stop_counter_.generation();
+        const auto generation = stop_generations_.generation();
         if (generation_seen_ == generation) announce(generation);
         generation_seen_ = generation;
         proto::EmToEi message;
@@ -636,7 +637,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     // Constant after construction
     const asio::any_io_executor strand_;
     const BackEndSettings settings_;
-    const StopCounter& stop_counter_;
+    const StopGenerations& stop_generations_;
     const Clock& clock_;
     RandomSource& random_;
     BackEndEvents& events_;
@@ -669,8 +670,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
 };
 
 BackEndInterface::BackEndInterface(asio::any_io_executor strand, BackEndSettings settings,
-                                   const StopCounter& stop_counter, const Clock& clock, RandomSource& random,
-                                   BackEndEvents& events) {
+                                   const StopGenerations& stop_generations, const Clock& clock,
+                                   RandomSource& random, BackEndEvents& events) {
     if (settings.application.empty() || settings.application.size() > 255)
         throw std::invalid_argument(
             "application: expected the name of the robot application, 1 to 255 characters: set it");
@@ -685,8 +686,8 @@ BackEndInterface::BackEndInterface(asio::any_io_executor strand, BackEndSettings
             "one, or allow others explicitly on a network you trust");
     const auto range = checkPortRange(settings.where.ports.first, settings.where.ports.last, "ports");
     if (!range) throw std::invalid_argument(range.refusal().message);
-    connections_ = std::make_shared<Connections>(std::move(strand), std::move(settings), stop_counter, clock,
-                                                 random, events);
+    connections_ = std::make_shared<Connections>(std::move(strand), std::move(settings), stop_generations,
+                                                 clock, random, events);
 }
 
 BackEndInterface::~BackEndInterface() {

@@ -9,7 +9,7 @@
 #include "common/ids.hpp"
 #include "entity_manager/links/back_end/application_search.hpp"
 #include "entity_manager/ports/ports.hpp"
-#include "entity_manager/ports/stop_counter.hpp"
+#include "entity_manager/ports/stop_generations.hpp"
 #include "host/port_range.hpp"
 
 namespace axon::proto {
@@ -64,8 +64,9 @@ class BackEndEvents {
 class BackEndInterface final : public BackEndPort {
   public:
     /// Throws std::invalid_argument, with the mend, where the settings cannot work.
-    BackEndInterface(asio::any_io_executor strand, BackEndSettings settings, const StopCounter& stop_counter,
-                     const Clock& clock, RandomSource& random, BackEndEvents& events);
+    BackEndInterface(asio::any_io_executor strand, BackEndSettings settings,
+                     const StopGenerations& stop_generations, const Clock& clock, RandomSource& random,
+                     BackEndEvents& events);
     ~BackEndInterface() override;
     BackEndInterface(const BackEndInterface&) = delete;
     BackEndInterface& operator=(const BackEndInterface&) = delete;

@@ -7,11 +7,11 @@
 
 namespace axon::entity_manager {
 
-DatagramDesk::DatagramDesk(DatagramSettings settings, const Clock& clock, StopCounter& stop_counter,
+DatagramDesk::DatagramDesk(DatagramSettings settings, const Clock& clock, StopGenerations& stop_generations,
                            std::string entity, Stop stop)
     : settings_(std::move(settings)),
       clock_(clock),
-      stop_counter_(stop_counter),
+      stop_generations_(stop_generations),
       entity_(std::move(entity)),
       stop_(std::move(stop)) {}
 
@@ -88,7 +88,7 @@ bool DatagramDesk::received(const datagrams::DatagramLane& lane, const datagrams
     }
     auto answer = datagram;
     answer.kind = datagrams::StopDatagram::Kind::Ack;
-    answer.generation = stop_counter_.raisedBy(judged.sender.id, datagram.sequence).value_or(0);
+    answer.generation = stop_generations_.raisedBy(judged.sender.id, datagram.sequence).value_or(0);
     const auto encoded = datagrams::encode(answer, judged.key);
     lane.send(from, {encoded.data(), encoded.size()});
     // Copies without end are a flood as well: whoever replays one must not keep this thread from resting.

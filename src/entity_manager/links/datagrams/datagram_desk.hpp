@@ -11,7 +11,7 @@
 #include "datagrams/datagram_lane.hpp"
 #include "datagrams/stop_sentry.hpp"
 #include "entity_manager/core/turn/lease_book.hpp"
-#include "entity_manager/ports/stop_counter.hpp"
+#include "entity_manager/ports/stop_generations.hpp"
 
 namespace axon::entity_manager {
 
@@ -35,8 +35,8 @@ class DatagramDesk {
   public:
     using Stop = std::function<void(Header head, StopCause cause)>;
 
-    DatagramDesk(DatagramSettings settings, const Clock& clock, StopCounter& stop_counter, std::string entity,
-                 Stop stop);
+    DatagramDesk(DatagramSettings settings, const Clock& clock, StopGenerations& stop_generations,
+                 std::string entity, Stop stop);
 
     /// Opens the socket, or anew where the way to the server begins at another address than before. The
     /// endpoint to tell clients; empty when there is none.
@@ -54,7 +54,7 @@ class DatagramDesk {
 
     const DatagramSettings settings_;
     const Clock& clock_;
-    StopCounter& stop_counter_;
+    StopGenerations& stop_generations_;
     const std::string entity_;
     const Stop stop_;
     datagrams::StopSentry sentry_;

@@ -19,9 +19,9 @@ namespace axon::entity_manager {
 /// since: no late copy knows that.
 /// Threads: any. The mutex is the signal lane's own and is held for a comparison of a few strings. Drills
 /// have numbers and a memory of their own, so that they change nothing here.
-class StopCounter {
+class StopGenerations {
   public:
-    explicit StopCounter(std::uint32_t first = 0) : generation_(first) {}
+    explicit StopGenerations(std::uint32_t first = 0) : generation_(first) {}
 
     std::uint32_t generation() const { return generation_.load(std::memory_order_acquire); }
 
