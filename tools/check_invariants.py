@@ -34,7 +34,6 @@ ICE_ALLOWED = (
     "src/client/direct/ice_direct_path.*",
     "src/entity_manager/links/server/*",
     "src/entity_manager/links/direct/direct_door.*",
-    "src/entity_manager/daemon_options*",
     "src/entity_manager/main.cpp",
     "src/server/*",
     "bench/*",
@@ -62,7 +61,7 @@ CORES = (
     "src/datagrams/endpoint.*",
     "src/direct/*",
 )
-# In common/ids.cpp random bytes enter (getrandom), in the next two time, and the last one writes a log; host/port_range.cpp reads ports.cfg.
+# In common/ids.cpp random bytes enter (getrandom), in the next two time, and the last one writes a log; host/settings_file.cpp reads settings files.
 CORE_EXCEPTIONS = ("src/common/ids.cpp", "src/common/clock.hpp", "src/common/shared_clock.cpp", "src/client/base/log.*")
 
 ICE_HEADER = re.compile(r"^(Ice|IceUtil|IceSSL|IceBox|IceGrid|IceStorm|Glacier2)/|^axon/(commutil|directcomm|entitycomm|frontendcomm)\.h$")

@@ -1,17 +1,16 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/daemon_options.hpp"
 
-#include <Ice/Ice.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <cstdlib>
-#include <fstream>
 #include <set>
 #include <stdexcept>
 
 #include "transport/ice/endpoint.hpp"
+#include "transport/ice/properties.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/sessions/routed_session.hpp"
 
@@ -21,7 +20,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::set<std::string> kKeys{"Axon.Application",
+constexpr const char* kRouter = "Ice.Default.Router";
+
+const std::set<std::string> kKeys{kRouter,
+                                  "Axon.Application",
                                   "Axon.Instance",
                                   "Axon.Server",
                                   "Axon.User",
@@ -51,8 +53,8 @@ fs::path defaultStateFolder(const std::string& application, const std::string& i
     return root / "axon" / (instance.empty() ? application : application + "-" + instance);
 }
 
-template <class Integer>
-Integer integerBetween(const std::string& what, const std::string& text, Integer low, Integer high) {
+std::int64_t integerBetween(const std::string& what, const std::string& text, std::int64_t low,
+                            std::int64_t high) {
     std::size_t used = 0;
     std::int64_t value = 0;
     try {
@@ -63,7 +65,7 @@ Integer integerBetween(const std::string& what, const std::string& text, Integer
     if (used != text.size() || text.empty() || value < low || value > high)
         throw std::runtime_error(what + ": expected a whole number from " + std::to_string(low) + " to " +
                                  std::to_string(high) + ", not '" + text + "'");
-    return static_cast<Integer>(value);
+    return value;
 }
 
 std::chrono::milliseconds secondsBetween(const std::string& what, const std::string& text, double low,
@@ -89,7 +91,7 @@ T accepted(Result<T> result) {
 }
 
 /// "on", "off", an address, a port, or both.
-DatagramSettings datagramsOf(const std::string& text) {
+DatagramSettings datagramsOf(const std::string& what, const std::string& text) {
     DatagramSettings settings;
     if (text == "off") return settings;
     settings.offered = true;
@@ -103,7 +105,8 @@ DatagramSettings datagramsOf(const std::string& text) {
         settings.port = port->port;
     } else {
         throw std::runtime_error(
-            "Axon.Datagrams: expected on, off, an address of four numbers, a port, or ADDRESS:PORT, as "
+            what +
+            ": expected on, off, an address of four numbers, a port, or ADDRESS:PORT, as "
             "192.168.0.7:10420, not '" +
             text + "'");
     }
@@ -111,14 +114,15 @@ DatagramSettings datagramsOf(const std::string& text) {
 }
 
 /// "on", "off", an address, a range of ports, or both.
-DirectSettings directOf(const std::string& text) {
+DirectSettings directOf(const std::string& what, const std::string& text) {
     DirectSettings settings;
     if (text == "off") return settings;
     settings.offered = true;
     if (text == "on") return settings;
     const auto fail = [&] {
         throw std::runtime_error(
-            "Axon.Direct: expected on, off, an address of four numbers, at least two ports from 1024 to "
+            what +
+            ": expected on, off, an address of four numbers, at least two ports from 1024 to "
             "65535, or "
             "ADDRESS:FIRST-LAST, as 192.168.0.7:10430-10439, not '" +
             text + "'");
@@ -143,34 +147,6 @@ DirectSettings directOf(const std::string& text) {
         (colon != std::string::npos && settings.address.empty()))
         fail();
     return settings;
-}
-
-/// Ice property syntax, as the thesis' configuration files: Name=value, # comments.
-constexpr const char* kRouter = "Ice.Default.Router";
-
-std::map<std::string, std::string> readConfiguration(const std::string& file,
-                                                     std::map<std::string, std::string>& ice_properties) {
-    std::map<std::string, std::string> values;
-    if (file.empty()) return values;
-    if (!std::ifstream(file))
-        throw std::runtime_error(
-            file + ": cannot be read; expected a configuration file (docs/reference/configuration.md)");
-    const auto properties = Ice::createProperties();
-    properties->load(file);
-    for (const auto& [key, value] : properties->getPropertiesForPrefix("")) {
-        if (key != kRouter && (key.rfind("Ice.", 0) == 0 || key.rfind("IceSSL.", 0) == 0)) {
-            ice_properties[key] = value;
-            continue;
-        }
-        if (key != kRouter && !kKeys.contains(key)) {
-            std::string known;
-            for (const auto& name : kKeys) known += (known.empty() ? "" : ", ") + name;
-            throw std::runtime_error(file + ": unknown property '" + key + "'; expected one of " + known +
-                                     ", " + kRouter + ", or a property of Ice");
-        }
-        values[key] = value;
-    }
-    return values;
 }
 
 }  // namespace
@@ -210,11 +186,27 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         options.exit_code = app.exit(e) == 0 ? 0 : 2;
         return options;
     }
-    const auto file = readConfiguration(config, options.ice_properties);
+    auto properties = config.empty() ? transport::Properties() : transport::readProperties(config, kKeys);
+    options.ice_properties = std::move(properties.ice);
+    const auto& file = properties.own;
     const auto chosen = [&file](const std::string& option, const char* key, const std::string& otherwise) {
         if (!option.empty()) return option;
         const auto found = file.find(key);
-        return found == file.end() ? otherwise : found->second;
+        return found == file.end() ? otherwise : found->second.value;
+    };
+    // Of what only the file can say; messages name the line.
+    const auto read = [&file](const char* key, const char* otherwise, auto parse) {
+        const auto found = file.find(key);
+        if (found == file.end()) return parse(key, otherwise);
+        return parse(found->second.where + ": " + key, found->second.value);
+    };
+    const auto integer = [&](const char* key, const char* otherwise, std::int64_t low, std::int64_t high) {
+        return read(key, otherwise, [=](const std::string& what, const std::string& text) {
+            return integerBetween(what, text, low, high);
+        });
+    };
+    const auto milliseconds = [&](const char* key, const char* otherwise, int low, int high) {
+        return std::chrono::milliseconds(integer(key, otherwise, low, high));
     };
 
     options.core.application = chosen(application, "Axon.Application", "");
@@ -265,23 +257,19 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     options.server.user = chosen("", "Axon.User", "");
     options.server.password = chosen("", "Axon.Password", "");
 
-    options.core.server_watchdog_busy = std::chrono::milliseconds(
-        integerBetween("Axon.WatchdogBusyMs", chosen("", "Axon.WatchdogBusyMs", "250"), 50, 2000));
-    options.core.server_watchdog_idle = std::chrono::milliseconds(
-        integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
-    options.datagrams = datagramsOf(chosen("", "Axon.Datagrams", "on"));
-    options.direct = directOf(chosen("", "Axon.Direct", "on"));
-    options.lock_memory = integerBetween("Axon.LockMemory", chosen("", "Axon.LockMemory", "1"), 0, 1) != 0;
-    options.core.lease_grace = secondsBetween("Axon.LeaseGrace", chosen("", "Axon.LeaseGrace", "5"), 0, 600);
-    options.back_end.watchdog_busy = std::chrono::milliseconds(
-        integerBetween("Axon.LinkWatchdogBusyMs", chosen("", "Axon.LinkWatchdogBusyMs", "250"), 50, 2000));
-    options.back_end.watchdog_idle = std::chrono::milliseconds(
-        integerBetween("Axon.LinkWatchdogIdleMs", chosen("", "Axon.LinkWatchdogIdleMs", "500"), 100, 10000));
-    options.core.answer_within = std::chrono::milliseconds(
-        integerBetween("Axon.AnswerWithinMs", chosen("", "Axon.AnswerWithinMs", "10000"), 100, 600000));
-    options.core.resource_bytes_max = static_cast<std::uint64_t>(
-        integerBetween("Axon.ResourceBytesMax", chosen("", "Axon.ResourceBytesMax", "1073741824"),
-                       std::int64_t{1}, std::int64_t{1} << 40U));
+    options.core.server_watchdog_busy = milliseconds("Axon.WatchdogBusyMs", "250", 50, 2000);
+    options.core.server_watchdog_idle = milliseconds("Axon.WatchdogIdleMs", "10000", 250, 60000);
+    options.datagrams = read("Axon.Datagrams", "on", datagramsOf);
+    options.direct = read("Axon.Direct", "on", directOf);
+    options.lock_memory = integer("Axon.LockMemory", "1", 0, 1) != 0;
+    options.core.lease_grace = read(
+        "Axon.LeaseGrace", "5",
+        [](const std::string& what, const std::string& text) { return secondsBetween(what, text, 0, 600); });
+    options.back_end.watchdog_busy = milliseconds("Axon.LinkWatchdogBusyMs", "250", 50, 2000);
+    options.back_end.watchdog_idle = milliseconds("Axon.LinkWatchdogIdleMs", "500", 100, 10000);
+    options.core.answer_within = milliseconds("Axon.AnswerWithinMs", "10000", 100, 600000);
+    options.core.resource_bytes_max =
+        static_cast<std::uint64_t>(integer("Axon.ResourceBytesMax", "1073741824", 1, std::int64_t{1} << 40U));
     const auto ordered = [](const char* busy, Duration shorter, const char* idle, Duration longer) {
         if (shorter > longer)
             throw std::runtime_error(

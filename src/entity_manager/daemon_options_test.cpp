@@ -89,6 +89,17 @@ TEST_F(DaemonOptionsTest, TheBoundOfAnUploadIsAProperty) {
             << wrong;
 }
 
+TEST_F(DaemonOptionsTest, WhatTheFileSaysWrongIsRefusedWithItsLine) {
+    const auto line_3 = "entitymanager.cfg:3: ";
+    EXPECT_THAT(refusal("\nAxon.LockMemory=2"), HasSubstr(std::string(line_3) + "Axon.LockMemory: expected"));
+    EXPECT_THAT(refusal("\nAxon.LeaseGrace=-1"),
+                HasSubstr(std::string(line_3) + "Axon.LeaseGrace: expected"));
+    EXPECT_THAT(refusal("\nAxon.Direct=1"), HasSubstr(std::string(line_3) + "Axon.Direct: expected"));
+    EXPECT_THAT(refusal("\nAxon.Direct on"),
+                HasSubstr(std::string(line_3) + "'Axon.Direct': expected a line"));
+    EXPECT_THAT(refusal("\nAxon.Drect=on"), HasSubstr(std::string(line_3) + "unknown property"));
+}
+
 TEST_F(DaemonOptionsTest, AnUnknownPropertyIsRefusedWithThoseThereAre) {
     EXPECT_THAT(refusal("Axon.Drect=on"),
                 testing::AllOf(HasSubstr("unknown property 'Axon.Drect'"), HasSubstr("Axon.Direct")));

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <set>
 #include <stdexcept>
 
 #include "server/users.hpp"
@@ -88,7 +89,6 @@ void addUser(const std::string& file, const std::string& name, const std::string
 }  // namespace
 
 void readConfiguration(const std::string& file, ServerSettings& settings) {
-    const auto properties = transport::readProperties(file);
     const auto milliseconds = [](Duration& to, long least, long most) {
         return [&to, least, most](const std::string& where, const std::string& text) {
             to = std::chrono::milliseconds{number(where, text, least, most)};
@@ -155,24 +155,16 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
              settings.signal_threads = static_cast<int>(number(where, text, 1, 256));
          }},
     };
-    constexpr std::string_view kPeer = "Server.Peer.";
-    for (const auto& [key, value] : properties) {
-        if (key.rfind(kPeer, 0) == 0 && key.size() > kPeer.size()) {
-            settings.neighbours[key.substr(kPeer.size())] = value;
-            continue;
-        }
-        if (key.rfind("Ice.", 0) == 0 || key.rfind("IceSSL.", 0) == 0) {
-            settings.ice_properties[key] = value;
-            continue;
-        }
-        const auto found = keys.find(key);
-        if (found == keys.end()) {
-            std::string known;
-            for (const auto& [name, set] : keys) known += (known.empty() ? "" : ", ") + name;
-            throw std::runtime_error(file + ": '" + key + "' is not a known key; expected one of " + known +
-                                     ", or a property Ice.* or IceSSL.*");
-        }
-        found->second(file + ": " + key, value);
+    const std::string peer = "Server.Peer.";
+    std::set<std::string> known{peer};
+    for (const auto& [key, set] : keys) known.insert(key);
+    const auto properties = transport::readProperties(file, known);
+    for (const auto& [key, value] : properties.ice) settings.ice_properties[key] = value;
+    for (const auto& [key, setting] : properties.own) {
+        if (const auto found = keys.find(key); found != keys.end())
+            found->second(setting.where + ": " + key, setting.value);
+        else
+            settings.neighbours[key.substr(peer.size())] = setting.value;
     }
     if (settings.front_end.watchdog_busy > settings.front_end.watchdog_idle)
         throw std::runtime_error(

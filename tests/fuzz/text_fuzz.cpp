@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What people write or pass on: a query for entities, a ports.cfg, and a lease's ticket. Any text is one or a
-// refusal that says what was expected; a ticket that is taken says the same again. The first byte chooses.
+// What people write or pass on: a query for entities, a settings file (ports.cfg), and a lease's ticket. Any
+// text is one or a refusal that says what was expected; a ticket that is taken says the same again. The first
+// byte chooses.
 #include <cstdint>
 #include <string_view>
 
@@ -8,6 +9,7 @@
 #include "client/core/entity_query.hpp"
 #include "client/core/session_core.hpp"
 #include "host/port_range.hpp"
+#include "host/settings_file.hpp"
 
 namespace {
 
@@ -37,7 +39,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                 "a ticket that is taken is written and read as the same");
         return 0;
     }
+    const auto settings = parseSettings(text, "ports.cfg");
+    requireMend(settings);
+    if (settings)
+        for (const auto& setting : settings.value())
+            require(!setting.key.empty() && setting.where.starts_with("ports.cfg:"),
+                    "a setting has a key, and says where it is");
     const auto ports = parsePorts(text, "ports.cfg");
+    require(settings.ok() || !ports.ok(), "what is no settings file is no ports.cfg");
     requireMend(ports);
     if (ports)
         require(ports->ports.first >= PortRange::kLowest && ports->ports.first <= ports->ports.last &&
