@@ -13,6 +13,8 @@
 #include <system_error>
 #include <thread>
 
+#include "common/descriptor.hpp"
+
 namespace axon::arcos {
 namespace {
 
@@ -24,23 +26,20 @@ constexpr Duration kTick = std::chrono::milliseconds{25};
 class EventDescriptor {
   public:
     EventDescriptor() : fd_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
-        if (fd_ < 0) throw std::system_error(errno, std::generic_category(), "eventfd");
+        if (!fd_.open()) throw std::system_error(errno, std::generic_category(), "eventfd");
     }
-    ~EventDescriptor() { ::close(fd_); }
-    EventDescriptor(const EventDescriptor&) = delete;
-    EventDescriptor& operator=(const EventDescriptor&) = delete;
-    int get() const { return fd_; }
+    int get() const { return fd_.get(); }
     void raise() const {
         const std::uint64_t one = 1;
-        [[maybe_unused]] const auto written = ::write(fd_, &one, sizeof one);
+        [[maybe_unused]] const auto written = ::write(fd_.get(), &one, sizeof one);
     }
     void lower() const {
         std::uint64_t raised = 0;
-        [[maybe_unused]] const auto got = ::read(fd_, &raised, sizeof raised);
+        [[maybe_unused]] const auto got = ::read(fd_.get(), &raised, sizeof raised);
     }
 
   private:
-    int fd_;
+    const Descriptor fd_;
 };
 
 }  // namespace
