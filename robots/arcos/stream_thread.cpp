@@ -13,6 +13,7 @@
 #include <system_error>
 #include <thread>
 
+#include "common/backoff.hpp"
 #include "common/descriptor.hpp"
 
 namespace axon::arcos {
@@ -69,7 +70,7 @@ class StreamThread::Loop {
         return false;
     }
 
-    void succeeded() { pause_ = kFirstPause; }
+    void succeeded() { pause_.reset(); }
     LineSpeed speed() const { return link_ ? link_->speed() : LineSpeed(); }
     bool setSpeed(int baud) {
         const std::lock_guard lock(link_mutex_);
@@ -85,8 +86,7 @@ class StreamThread::Loop {
             else
                 session_.unreachable(opened.refusal().message);
             if (quit_) return;
-            waitFor(-1, pause_);
-            pause_ = std::min(pause_ * 2, kLongestPause);
+            waitFor(-1, pause_.next());
         }
     }
 
@@ -129,7 +129,7 @@ class StreamThread::Loop {
     const std::shared_ptr<const Clock> clock_;
     const EventDescriptor wake_;
 
-    Duration pause_ = kFirstPause;  // confined to the thread
+    Backoff pause_{kFirstPause, kLongestPause};  // confined to the thread
 
     std::atomic<bool> quit_ = false;
     std::atomic<bool> broken_ = false;
