@@ -10,22 +10,13 @@
 #include <cerrno>
 #include <utility>
 
+#include "common/descriptor.hpp"
 #include "support/loopback.hpp"
 
 namespace axon::faults {
 namespace {
 
 using namespace std::chrono_literals;
-
-struct Descriptor {
-    explicit Descriptor(int number = -1) : fd(number) {}
-    ~Descriptor() {
-        if (fd >= 0) ::close(fd);
-    }
-    Descriptor(Descriptor&& other) noexcept : fd(std::exchange(other.fd, -1)) {}
-    Descriptor& operator=(Descriptor&&) = delete;
-    int fd;
-};
 
 sockaddr_in at(std::uint16_t port) {
     sockaddr_in address{};
@@ -53,25 +44,25 @@ class RelayTest : public ::testing::Test {
   protected:
     RelayTest() : listener(::socket(AF_INET, SOCK_STREAM, 0)) {
         auto address = at(0);
-        ::bind(listener.fd, reinterpret_cast<sockaddr*>(&address), sizeof address);
-        ::listen(listener.fd, 8);
+        ::bind(listener.get(), reinterpret_cast<sockaddr*>(&address), sizeof address);
+        ::listen(listener.get(), 8);
         socklen_t size = sizeof address;
-        ::getsockname(listener.fd, reinterpret_cast<sockaddr*>(&address), &size);
+        ::getsockname(listener.get(), reinterpret_cast<sockaddr*>(&address), &size);
         port = relay.open(Hop::Link, test::loopbackAddress(), 0, test::loopbackAddress(),
                           ntohs(address.sin_port));
     }
     Descriptor connect() const {
         Descriptor near(::socket(AF_INET, SOCK_STREAM, 0));
         const auto address = at(port);
-        EXPECT_EQ(::connect(near.fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+        EXPECT_EQ(::connect(near.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
         return near;
     }
     Descriptor accept() const {
-        EXPECT_TRUE(readable(listener.fd, 2000ms));
-        return Descriptor(::accept(listener.fd, nullptr, nullptr));
+        EXPECT_TRUE(readable(listener.get(), 2000ms));
+        return Descriptor(::accept(listener.get(), nullptr, nullptr));
     }
     static void say(const Descriptor& from, const std::string& words) {
-        EXPECT_EQ(::send(from.fd, words.data(), words.size(), MSG_NOSIGNAL),
+        EXPECT_EQ(::send(from.get(), words.data(), words.size(), MSG_NOSIGNAL),
                   static_cast<ssize_t>(words.size()));
     }
 
@@ -84,40 +75,40 @@ TEST_F(RelayTest, PassesBothWaysAndPassesTheEndOn) {
     auto near = connect();
     const auto far = accept();
     say(near, "there");
-    EXPECT_EQ(heard(far.fd), "there");
+    EXPECT_EQ(heard(far.get()), "there");
     say(far, "back");
-    EXPECT_EQ(heard(near.fd), "back");
+    EXPECT_EQ(heard(near.get()), "back");
     say(near, "last words");
-    ::shutdown(near.fd, SHUT_WR);
-    EXPECT_EQ(heard(far.fd), "last words");
-    EXPECT_EQ(heard(far.fd), "");
+    ::shutdown(near.get(), SHUT_WR);
+    EXPECT_EQ(heard(far.get()), "last words");
+    EXPECT_EQ(heard(far.get()), "");
     say(far, "still heard");
-    EXPECT_EQ(heard(near.fd), "still heard");
+    EXPECT_EQ(heard(near.get()), "still heard");
 }
 
 TEST_F(RelayTest, ACutSwallowsBytesAndHidesTheEnd) {
     auto near = connect();
     const auto far = accept();
     say(near, "before");
-    EXPECT_EQ(heard(far.fd), "before");
+    EXPECT_EQ(heard(far.get()), "before");
     relay.cut(Hop::Link);
     say(near, "lost");
-    EXPECT_EQ(heard(far.fd, 100ms), "nothing");
-    ::close(std::exchange(near.fd, -1));
-    EXPECT_EQ(heard(far.fd, 100ms), "nothing") << "neither FIN nor RST";
+    EXPECT_EQ(heard(far.get(), 100ms), "nothing");
+    near.reset();
+    EXPECT_EQ(heard(far.get(), 100ms), "nothing") << "neither FIN nor RST";
     relay.heal(Hop::Link);
-    EXPECT_EQ(heard(far.fd), "reset") << "what lost bytes does not go on";
+    EXPECT_EQ(heard(far.get()), "reset") << "what lost bytes does not go on";
     const auto again = connect();
     const auto there = accept();
     say(again, "healed");
-    EXPECT_EQ(heard(there.fd), "healed");
+    EXPECT_EQ(heard(there.get()), "healed");
 }
 
 TEST_F(RelayTest, AConnectionThatBeginsInACutHearsNothing) {
     relay.cut(Hop::Link);
     const auto near = connect();
     say(near, "hello");
-    EXPECT_EQ(heard(near.fd, 100ms), "nothing");
+    EXPECT_EQ(heard(near.get(), 100ms), "nothing");
 }
 
 TEST_F(RelayTest, AStallLosesNothing) {
@@ -125,9 +116,9 @@ TEST_F(RelayTest, AStallLosesNothing) {
     const auto far = accept();
     relay.stall(Hop::Link);
     say(near, "late");
-    EXPECT_EQ(heard(far.fd, 100ms), "nothing");
+    EXPECT_EQ(heard(far.get(), 100ms), "nothing");
     relay.heal(Hop::Link);
-    EXPECT_EQ(heard(far.fd), "late");
+    EXPECT_EQ(heard(far.get()), "late");
 }
 
 TEST_F(RelayTest, ADelayIsAtLeastSoLongAndKeepsTheOrder) {
@@ -136,13 +127,13 @@ TEST_F(RelayTest, ADelayIsAtLeastSoLongAndKeepsTheOrder) {
     relay.delay(Hop::Link, 60ms);
     const auto begin = std::chrono::steady_clock::now();
     say(near, "a");
-    ASSERT_EQ(heard(far.fd), "a");
+    ASSERT_EQ(heard(far.get()), "a");
     EXPECT_GE(std::chrono::steady_clock::now() - begin, 60ms);
     say(near, "b");
     relay.delay(Hop::Link, 0ms);
     say(near, "c");
     std::string both;
-    while (both.size() < 2) both += heard(far.fd);
+    while (both.size() < 2) both += heard(far.get());
     EXPECT_EQ(both, "bc");
 }
 
@@ -166,10 +157,10 @@ TEST_F(RelayTest, ALostPieceIsRepeatedAndEverythingBehindItWaits) {
     relay.impair(Hop::Link, lossy);
     const auto begin = std::chrono::steady_clock::now();
     say(near, "first");
-    EXPECT_EQ(heard(far.fd, 25ms), "nothing");
+    EXPECT_EQ(heard(far.get(), 25ms), "nothing");
     relay.impair(Hop::Link, {});
     say(near, "second");
-    EXPECT_EQ(all(far.fd, 11), "firstsecond");
+    EXPECT_EQ(all(far.get(), 11), "firstsecond");
     EXPECT_GE(std::chrono::steady_clock::now() - begin, 30ms);
 }
 
@@ -184,17 +175,17 @@ TEST_F(RelayTest, WhatIsSplitAndLateIsWholeAndInOrder) {
     for (int i = 0; i < 200; ++i) words += std::to_string(i) + " ";
     say(near, words.substr(0, 300));
     say(near, words.substr(300));
-    EXPECT_EQ(all(far.fd, words.size()), words);
+    EXPECT_EQ(all(far.get(), words.size()), words);
 }
 
 TEST_F(RelayTest, AResetReachesBothSides) {
     const auto near = connect();
     const auto far = accept();
     say(near, "x");
-    EXPECT_EQ(heard(far.fd), "x");
+    EXPECT_EQ(heard(far.get()), "x");
     relay.reset(Hop::Link);
-    EXPECT_EQ(heard(near.fd), "reset");
-    EXPECT_EQ(heard(far.fd), "reset");
+    EXPECT_EQ(heard(near.get()), "reset");
+    EXPECT_EQ(heard(far.get()), "reset");
     EXPECT_EQ(relay.connections(Hop::Link), 0U);
 }
 
@@ -204,7 +195,7 @@ TEST_F(RelayTest, OtherHopsAreNotDisturbed) {
     relay.cut(Hop::Client);
     relay.reset(Hop::Manager);
     say(near, "fine");
-    EXPECT_EQ(heard(far.fd), "fine");
+    EXPECT_EQ(heard(far.get()), "fine");
 }
 
 TEST_F(RelayTest, AConnectionFromADivertedAddressIsOnACableOfItsOwn) {
@@ -213,17 +204,17 @@ TEST_F(RelayTest, AConnectionFromADivertedAddressIsOnACableOfItsOwn) {
     sockaddr_in source{};
     source.sin_family = AF_INET;
     ::inet_pton(AF_INET, "127.99.99.99", &source.sin_addr);
-    ASSERT_EQ(::bind(other.fd, reinterpret_cast<sockaddr*>(&source), sizeof source), 0);
+    ASSERT_EQ(::bind(other.get(), reinterpret_cast<sockaddr*>(&source), sizeof source), 0);
     const auto address = at(port);
-    ASSERT_EQ(::connect(other.fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    ASSERT_EQ(::connect(other.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
     const auto its_far = accept();
     const auto near = connect();
     const auto far = accept();
     relay.cut(Hop::Master);
     say(other, "lost");
     say(near, "passed on");
-    EXPECT_EQ(heard(far.fd), "passed on");
-    EXPECT_EQ(heard(its_far.fd, 100ms), "nothing");
+    EXPECT_EQ(heard(far.get()), "passed on");
+    EXPECT_EQ(heard(its_far.get(), 100ms), "nothing");
 }
 
 TEST_F(RelayTest, ManyBytesArriveWholeAtASlowReader) {
@@ -232,16 +223,16 @@ TEST_F(RelayTest, ManyBytesArriveWholeAtASlowReader) {
     const std::string piece(60'000, 'x');
     std::size_t sent = 0, got = 0;
     for (int i = 0; i < 400; ++i) {
-        const auto n = ::send(near.fd, piece.data(), piece.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+        const auto n = ::send(near.get(), piece.data(), piece.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
         if (n > 0) sent += static_cast<std::size_t>(n);
-        if (n <= 0 && readable(far.fd, 100ms)) {
+        if (n <= 0 && readable(far.get(), 100ms)) {
             std::string bytes(30'000, ' ');
-            got += static_cast<std::size_t>(::recv(far.fd, bytes.data(), bytes.size(), 0));
+            got += static_cast<std::size_t>(::recv(far.get(), bytes.data(), bytes.size(), 0));
         }
     }
-    while (got < sent && readable(far.fd, 2000ms)) {
+    while (got < sent && readable(far.get(), 2000ms)) {
         std::string bytes(65'536, ' ');
-        got += static_cast<std::size_t>(::recv(far.fd, bytes.data(), bytes.size(), 0));
+        got += static_cast<std::size_t>(::recv(far.get(), bytes.data(), bytes.size(), 0));
     }
     EXPECT_EQ(got, sent);
 }

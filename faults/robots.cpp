@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "board.hpp"
+#include "common/descriptor.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
@@ -54,20 +55,17 @@ class MotionLog {
   public:
     explicit MotionLog(const fs::path& file)
         : fd_(::open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600)) {
-        if (fd_ < 0) throw std::system_error(errno, std::generic_category(), file.string());
+        if (!fd_.open()) throw std::system_error(errno, std::generic_category(), file.string());
     }
-    ~MotionLog() { ::close(fd_); }
-    MotionLog(const MotionLog&) = delete;
-    MotionLog& operator=(const MotionLog&) = delete;
     void add(const Motion& motion) const {
         char line[96];
         const int size = std::snprintf(line, sizeof line, "%s %zu %lld\n", motion.task.c_str(), motion.robot,
                                        static_cast<long long>(motion.at));
-        if (::write(fd_, line, static_cast<std::size_t>(size)) != size) std::perror("log of motions");
+        if (::write(fd_.get(), line, static_cast<std::size_t>(size)) != size) std::perror("log of motions");
     }
 
   private:
-    const int fd_;
+    const Descriptor fd_;
 };
 
 }  // namespace

@@ -18,7 +18,7 @@ constexpr Duration kFirstTime = std::chrono::seconds{1000};  // so that "never" 
 ClockFile::ClockFile(const std::string& path)
     : file_(::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644)) {
     struct stat status {};
-    if (!file_ || ::fstat(file_.get(), &status) != 0) failWithErrno("--clock " + path);
+    if (!file_.open() || ::fstat(file_.get(), &status) != 0) failWithErrno("--clock " + path);
     // Until this process ends, however it does.
     if (::flock(file_.get(), LOCK_EX | LOCK_NB) != 0)
         throw std::runtime_error(

@@ -65,11 +65,11 @@ class LabServer::Loop final : Control::Operator {
           stepping_(options_.step),
           pace_(options_.clock_path.empty() ? kLongestLag : Duration::zero()),
           tracks_(world_.robots.size()) {
-        if (!wake_) failWithErrno("eventfd");
+        if (!wake_.open()) failWithErrno("eventfd");
         if (!options_.truth_path.empty()) {
             truth_ = Descriptor(
                 ::open(options_.truth_path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644));
-            if (!truth_) failWithErrno("--truth " + options_.truth_path);
+            if (!truth_.open()) failWithErrno("--truth " + options_.truth_path);
         }
         if (!options_.clock_path.empty()) clock_file_.emplace(options_.clock_path);
         // Robots whose ports were chosen by hand leave nothing to be expected of the others.
@@ -261,7 +261,7 @@ class LabServer::Loop final : Control::Operator {
         if (lab_.age() >= next_truth_) {
             next_truth_ = lab_.age() + kTruthPeriod - lab_.age() % kTruthPeriod;
             followTracks();
-            if (truth_) writeTruth();
+            if (truth_.open()) writeTruth();
         }
         for (auto* links : {&robots_, &lasers_}) {
             for (auto& link : *links) {
@@ -315,7 +315,7 @@ class LabServer::Loop final : Control::Operator {
         control_clients_.remove_if([](const ControlClient& client) { return client.broken; });
         if (knocked != 0) {
             auto socket = acceptFrom(control_listener_);
-            if (socket && control_clients_.size() < kMostControlClients)
+            if (socket.open() && control_clients_.size() < kMostControlClients)
                 control_clients_.push_back(
                     {.socket = std::move(socket), .in = {}, .out = {}, .until = {}, .work = {}, .held = {}});
         }
@@ -325,7 +325,7 @@ class LabServer::Loop final : Control::Operator {
         // Whoever closes and connects again within a tick has closed first.
         hearOut(link);
         auto client = acceptFrom(link.listener);
-        if (!client || link.client) return;  // busy: closing the connection is the refusal
+        if (!client.open() || link.client.open()) return;  // busy: closing the connection is the refusal
         link.client = std::move(client);
         link.broken = false;
         if (link.kind == Link::Kind::Device) lab_.device(link.index).clientConnected();
@@ -334,7 +334,7 @@ class LabServer::Loop final : Control::Operator {
 
     /// What a client has said already, before something happens to its connection.
     void hearOut(Link& link) {
-        for (int i = 0; link.client && i < kMostReads && read(link); ++i) continue;
+        for (int i = 0; link.client.open() && i < kMostReads && read(link); ++i) continue;
     }
 
     /// False when there was nothing, or the client is gone.
@@ -402,7 +402,7 @@ class LabServer::Loop final : Control::Operator {
 
     void drop(Link& link) {
         link.broken = false;
-        if (!link.client) return;
+        if (!link.client.open()) return;
         link.client.reset();
         if (link.kind == Link::Kind::Robot) lab_.clientLost(link.index);
         if (link.kind == Link::Kind::Device) lab_.device(link.index).clientLost();

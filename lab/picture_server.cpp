@@ -83,7 +83,7 @@ std::optional<PictureRequest> parsePictureRequest(std::string_view bytes, bool o
 class PictureServer::Loop {
   public:
     Loop(const std::string& address, const Ports& ports) : wake_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
-        if (!wake_) failWithErrno("eventfd");
+        if (!wake_.open()) failWithErrno("eventfd");
         for (std::size_t i = 0; i < ports.cameras.size(); ++i)
             listeners_.push_back({listenOn(address, ports.cameras[i]), i, false});
         for (std::size_t i = 0; i < ports.acts.size(); ++i)
@@ -211,7 +211,7 @@ class PictureServer::Loop {
 
     void accept(const Listener& listener) {
         auto socket = acceptFrom(listener.socket);
-        if (!socket || connections_.size() >= kMostConnections) return;
+        if (!socket.open() || connections_.size() >= kMostConnections) return;
         auto& c = connections_.emplace_back();
         c.socket = std::move(socket);
         c.view = listener.view;

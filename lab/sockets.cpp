@@ -29,7 +29,7 @@ Descriptor listenOn(const std::string& address, int port) {
         failWithErrno(fmt::format("--listen {}: expected an IPv4 address such as 127.0.0.1", address));
     }
     Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-    if (!socket) failWithErrno("socket");
+    if (!socket.open()) failWithErrno("socket");
     const int one = 1;
     ::setsockopt(socket.get(), SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
     if (::bind(socket.get(), reinterpret_cast<sockaddr*>(&to), sizeof to) != 0 ||
@@ -52,7 +52,7 @@ int portOf(const Descriptor& socket) {
 
 Descriptor acceptFrom(const Descriptor& listener) {
     Descriptor client(::accept4(listener.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
-    if (client) {
+    if (client.open()) {
         const int one = 1;
         ::setsockopt(client.get(), IPPROTO_TCP, TCP_NODELAY, &one, sizeof one);
     }
@@ -62,14 +62,15 @@ Descriptor acceptFrom(const Descriptor& listener) {
 Terminal openTerminal() {
     Terminal terminal;
     terminal.master = Descriptor(::posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC));
-    if (!terminal.master || ::grantpt(terminal.master.get()) != 0 || ::unlockpt(terminal.master.get()) != 0)
+    if (!terminal.master.open() || ::grantpt(terminal.master.get()) != 0 ||
+        ::unlockpt(terminal.master.get()) != 0)
         failWithErrno("--pty: the system gives no pseudo-terminal");
     std::array<char, 128> path{};
     if (::ptsname_r(terminal.master.get(), path.data(), path.size()) != 0) failWithErrno("--pty");
     terminal.path = path.data();
     terminal.slave = Descriptor(::open(path.data(), O_RDWR | O_NOCTTY | O_CLOEXEC));
     termios settings{};
-    if (!terminal.slave || ::tcgetattr(terminal.slave.get(), &settings) != 0)
+    if (!terminal.slave.open() || ::tcgetattr(terminal.slave.get(), &settings) != 0)
         failWithErrno("--pty " + terminal.path);
     ::cfmakeraw(&settings);
     ::tcsetattr(terminal.slave.get(), TCSANOW, &settings);

@@ -21,6 +21,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/descriptor.hpp"
 #include "datagrams/datagram_lane.hpp"
 #include "datagrams/signal_socket.hpp"
 #include "datagrams/stop_repeater.hpp"
@@ -46,23 +47,6 @@ sockaddr_in addressOf(const char* text, std::uint16_t port) {
     ::inet_pton(AF_INET, text, &address.sin_addr);
     return address;
 }
-
-class Socket {
-  public:
-    explicit Socket(int fd = -1) : fd_(fd) {}
-    Socket(Socket&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-    Socket& operator=(Socket&& other) noexcept {
-        std::swap(fd_, other.fd_);
-        return *this;
-    }
-    ~Socket() {
-        if (fd_ >= 0) ::close(fd_);
-    }
-    int get() const { return fd_; }
-
-  private:
-    int fd_;
-};
 
 /// As the product does it, or as Ice alone does.
 void prepare(int fd, const Sending& sending) {
@@ -107,12 +91,12 @@ class Ledger {
 };
 
 struct Connections {
-    std::vector<Socket> left, right;  // by the number of the flow
+    std::vector<Descriptor> left, right;  // by the number of the flow
 };
 
 Connections connectAll(const TwoSides& sides, const Sending& sending, std::size_t flows) {
     sides.enter(Side::Right);
-    const Socket listening(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    const Descriptor listening(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
     auto at = addressOf(TwoSides::kRight, 0);
     socklen_t size = sizeof at;
     if (::bind(listening.get(), reinterpret_cast<sockaddr*>(&at), sizeof at) != 0 ||
@@ -122,7 +106,7 @@ Connections connectAll(const TwoSides& sides, const Sending& sending, std::size_
     Connections connections;
     sides.enter(Side::Left);
     for (std::size_t flow = 0; flow < flows; ++flow) {
-        Socket socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+        Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
         if (::connect(socket.get(), reinterpret_cast<sockaddr*>(&at), sizeof at) != 0 && errno != EINPROGRESS)
             fail("connecting to the right side");
         connections.left.push_back(std::move(socket));
@@ -143,7 +127,7 @@ Connections connectAll(const TwoSides& sides, const Sending& sending, std::size_
     connections.right.resize(flows);
     for (std::size_t i = 0; i < flows; ++i) {
         if (!readable(listening.get(), kSetUp)) fail("a connection over the channel was not accepted");
-        Socket socket(::accept4(listening.get(), nullptr, nullptr, SOCK_CLOEXEC));
+        Descriptor socket(::accept4(listening.get(), nullptr, nullptr, SOCK_CLOEXEC));
         prepare(socket.get(), sending);
         std::uint32_t number = 0;
         if (!readable(socket.get(), kSetUp) ||
@@ -157,7 +141,7 @@ Connections connectAll(const TwoSides& sides, const Sending& sending, std::size_
 /// Reads the right ends of all connections.
 class TcpReceiver {
   public:
-    TcpReceiver(const std::vector<Socket>& sockets, Ledger& ledger) : sockets_(sockets), ledger_(ledger) {
+    TcpReceiver(const std::vector<Descriptor>& sockets, Ledger& ledger) : sockets_(sockets), ledger_(ledger) {
         thread_ = std::thread([this] { run(); });
     }
     ~TcpReceiver() {
@@ -192,7 +176,7 @@ class TcpReceiver {
             }
         }
     }
-    const std::vector<Socket>& sockets_;
+    const std::vector<Descriptor>& sockets_;
     Ledger& ledger_;
     std::atomic<bool> ending_{false};
     std::thread thread_;

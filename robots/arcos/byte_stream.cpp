@@ -18,31 +18,30 @@
 #include <cstring>
 #include <stdexcept>
 
+#include "common/descriptor.hpp"
+
 namespace axon::arcos {
 namespace {
 
 class TcpStream final : public ByteStream {
   public:
     explicit TcpStream(int fd) : fd_(fd) {}
-    ~TcpStream() override { ::close(fd_); }
-    TcpStream(const TcpStream&) = delete;
-    TcpStream& operator=(const TcpStream&) = delete;
 
-    int descriptor() const override { return fd_; }
+    int descriptor() const override { return fd_.get(); }
 
     int read(std::span<std::uint8_t> into) override {
-        const auto got = ::recv(fd_, into.data(), into.size(), MSG_DONTWAIT);
+        const auto got = ::recv(fd_.get(), into.data(), into.size(), MSG_DONTWAIT);
         if (got > 0) return static_cast<int>(got);
         return got < 0 && (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR) ? 0 : -1;
     }
 
     bool write(std::span<const std::uint8_t> bytes) override {
-        const auto sent = ::send(fd_, bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+        const auto sent = ::send(fd_.get(), bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
         return sent == static_cast<ssize_t>(bytes.size());
     }
 
   private:
-    int fd_;
+    const Descriptor fd_;
 };
 
 struct Speed {
@@ -61,21 +60,18 @@ const Speed* findSpeed(int baud) {
 class SerialStream final : public ByteStream {
   public:
     SerialStream(int fd, int asked_speed) : fd_(fd), speed_{.asked = asked_speed} {}
-    ~SerialStream() override { ::close(fd_); }
-    SerialStream(const SerialStream&) = delete;
-    SerialStream& operator=(const SerialStream&) = delete;
 
-    int descriptor() const override { return fd_; }
+    int descriptor() const override { return fd_.get(); }
 
     int read(std::span<std::uint8_t> into) override {
-        const auto got = ::read(fd_, into.data(), into.size());
+        const auto got = ::read(fd_.get(), into.data(), into.size());
         if (got > 0) return static_cast<int>(got);
         // With VMIN 1 nothing yet is EAGAIN, and zero is a line that was hung up.
         return got < 0 && (errno == EAGAIN || errno == EINTR) ? 0 : -1;
     }
 
     bool write(std::span<const std::uint8_t> bytes) override {
-        return ::write(fd_, bytes.data(), bytes.size()) == static_cast<ssize_t>(bytes.size());
+        return ::write(fd_.get(), bytes.data(), bytes.size()) == static_cast<ssize_t>(bytes.size());
     }
 
     LineSpeed speed() const override { return speed_; }
@@ -83,15 +79,15 @@ class SerialStream final : public ByteStream {
     bool setSpeed(int baud) override {
         const auto* const speed = findSpeed(baud);
         termios line{};
-        if (speed == nullptr || ::tcgetattr(fd_, &line) != 0) return false;
+        if (speed == nullptr || ::tcgetattr(fd_.get(), &line) != 0) return false;
         ::cfsetspeed(&line, speed->code);
-        if (::tcsetattr(fd_, TCSANOW, &line) != 0) return false;
+        if (::tcsetattr(fd_.get(), TCSANOW, &line) != 0) return false;
         speed_.baud = baud;
         return true;
     }
 
   private:
-    const int fd_;
+    const Descriptor fd_;
     LineSpeed speed_;
 };
 

@@ -13,6 +13,9 @@
 #include <system_error>
 #include <thread>
 
+#include "common/backoff.hpp"
+#include "common/descriptor.hpp"
+
 namespace axon::arcos {
 namespace {
 
@@ -24,23 +27,20 @@ constexpr Duration kTick = std::chrono::milliseconds{25};
 class EventDescriptor {
   public:
     EventDescriptor() : fd_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
-        if (fd_ < 0) throw std::system_error(errno, std::generic_category(), "eventfd");
+        if (!fd_.open()) throw std::system_error(errno, std::generic_category(), "eventfd");
     }
-    ~EventDescriptor() { ::close(fd_); }
-    EventDescriptor(const EventDescriptor&) = delete;
-    EventDescriptor& operator=(const EventDescriptor&) = delete;
-    int get() const { return fd_; }
+    int get() const { return fd_.get(); }
     void raise() const {
         const std::uint64_t one = 1;
-        [[maybe_unused]] const auto written = ::write(fd_, &one, sizeof one);
+        [[maybe_unused]] const auto written = ::write(fd_.get(), &one, sizeof one);
     }
     void lower() const {
         std::uint64_t raised = 0;
-        [[maybe_unused]] const auto got = ::read(fd_, &raised, sizeof raised);
+        [[maybe_unused]] const auto got = ::read(fd_.get(), &raised, sizeof raised);
     }
 
   private:
-    int fd_;
+    const Descriptor fd_;
 };
 
 }  // namespace
@@ -70,7 +70,7 @@ class StreamThread::Loop {
         return false;
     }
 
-    void succeeded() { pause_ = kFirstPause; }
+    void succeeded() { pause_.reset(); }
     LineSpeed speed() const { return link_ ? link_->speed() : LineSpeed(); }
     bool setSpeed(int baud) {
         const std::lock_guard lock(link_mutex_);
@@ -86,8 +86,7 @@ class StreamThread::Loop {
             else
                 session_.unreachable(opened.refusal().message);
             if (quit_) return;
-            waitFor(-1, pause_);
-            pause_ = std::min(pause_ * 2, kLongestPause);
+            waitFor(-1, pause_.next());
         }
     }
 
@@ -130,7 +129,7 @@ class StreamThread::Loop {
     const std::shared_ptr<const Clock> clock_;
     const EventDescriptor wake_;
 
-    Duration pause_ = kFirstPause;  // confined to the thread
+    Backoff pause_{kFirstPause, kLongestPause};  // confined to the thread
 
     std::atomic<bool> quit_ = false;
     std::atomic<bool> broken_ = false;

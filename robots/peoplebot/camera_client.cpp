@@ -3,12 +3,13 @@
 
 #include <poll.h>
 
-#include <algorithm>
 #include <array>
 #include <atomic>
 #include <condition_variable>
 #include <mutex>
 #include <thread>
+
+#include "common/backoff.hpp"
 
 namespace axon::peoplebot {
 namespace {
@@ -72,8 +73,7 @@ class CameraClient::Worker {
             if (!wanted_) continue;
             if (callbacks_.on_lost) callbacks_.on_lost(reason);
             std::unique_lock lock(mutex_);
-            news_.wait_for(lock, pause_, [this] { return quit_.load(); });
-            pause_ = std::min(pause_ * 2, kLongestPause);
+            news_.wait_for(lock, pause_.next(), [this] { return quit_.load(); });
         }
     }
 
@@ -108,7 +108,7 @@ class CameraClient::Worker {
     }
 
     void publish(const std::shared_ptr<const CameraPicture>& picture) {
-        pause_ = kFirstPause;
+        pause_.reset();
         {
             const std::lock_guard lock(mutex_);
             newest_ = picture;
@@ -125,7 +125,7 @@ class CameraClient::Worker {
     // Confined to the worker's thread.
     PictureReader reader_;
     std::array<std::uint8_t, 65536> chunk_;
-    Duration pause_ = kFirstPause;
+    Backoff pause_{kFirstPause, kLongestPause};
 
     mutable std::mutex mutex_;
     std::condition_variable news_;                 // quit_ or wanted_ changed

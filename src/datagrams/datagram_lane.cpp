@@ -50,20 +50,19 @@ DatagramLane::DatagramLane(std::string thread_name, Endpoint bind, const Clock& 
       due_(std::move(due)) {
     const auto fail = [&](const char* what) {
         const auto error = errno;
-        if (socket_ >= 0) ::close(socket_);
-        if (wake_ >= 0) ::close(wake_);
         throw std::system_error(error, std::generic_category(), what + (" " + bind.toString()));
     };
-    socket_ = ::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    if (socket_ < 0) fail("socket for datagrams at");
-    wake_ = ::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-    if (wake_ < 0) fail("eventfd for datagrams at");
-    prepareDatagramSocket(socket_);
+    socket_ = Descriptor(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+    if (!socket_.open()) fail("socket for datagrams at");
+    wake_ = Descriptor(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+    if (!wake_.open()) fail("eventfd for datagrams at");
+    prepareDatagramSocket(socket_.get());
     auto address = toSocket(bind);
-    if (::bind(socket_, reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
+    if (::bind(socket_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
         fail("cannot receive datagrams at");
     socklen_t size = sizeof address;
-    if (::getsockname(socket_, reinterpret_cast<sockaddr*>(&address), &size) != 0) fail("getsockname of");
+    if (::getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0)
+        fail("getsockname of");
     local_ = fromSocket(address);
     thread_ = std::thread([this] { run(); });
 }
@@ -72,19 +71,17 @@ DatagramLane::~DatagramLane() {
     ending_ = true;
     wake();
     thread_.join();
-    ::close(socket_);
-    ::close(wake_);
 }
 
 void DatagramLane::send(const Endpoint& to, std::string_view bytes) const {
     const auto address = toSocket(to);
-    (void)::sendto(socket_, bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_NOSIGNAL,
+    (void)::sendto(socket_.get(), bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_NOSIGNAL,
                    reinterpret_cast<const sockaddr*>(&address), sizeof address);
 }
 
 void DatagramLane::wake() const {
     const std::uint64_t one = 1;
-    (void)!::write(wake_, &one, sizeof one);
+    (void)!::write(wake_.get(), &one, sizeof one);
 }
 
 void DatagramLane::run() {
@@ -99,10 +96,10 @@ void DatagramLane::run() {
         const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(wait);
         const timespec time{static_cast<time_t>(seconds.count()),
                             static_cast<long>((wait - seconds).count())};
-        std::array<pollfd, 2> waiting{{{wake_, POLLIN, 0}, {socket_, POLLIN, 0}}};
+        std::array<pollfd, 2> waiting{{{wake_.get(), POLLIN, 0}, {socket_.get(), POLLIN, 0}}};
         if (::ppoll(waiting.data(), waiting.size(), &time, nullptr) < 0 && errno != EINTR) return;
         std::uint64_t count = 0;
-        (void)!::read(wake_, &count, sizeof count);
+        (void)!::read(wake_.get(), &count, sizeof count);
         for (int i = 0; i < kReadsPerRound && !ending_ && readSome(); ++i) {
         }
         if (refused_in_a_row_ >= kRefusedInARow) {
@@ -116,7 +113,7 @@ bool DatagramLane::readSome() {
     std::array<char, kLongest> bytes;
     sockaddr_in from{};
     socklen_t size = sizeof from;
-    const auto got = ::recvfrom(socket_, bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_TRUNC,
+    const auto got = ::recvfrom(socket_.get(), bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_TRUNC,
                                 reinterpret_cast<sockaddr*>(&from), &size);
     if (got < 0) return errno != EAGAIN && errno != EWOULDBLOCK;  // an ICMP error of what was sent is no end
     const bool whole = static_cast<std::size_t>(got) <= bytes.size();
@@ -129,7 +126,7 @@ bool DatagramLane::readSome() {
 /// Datagrams wait meanwhile, or are dropped by the kernel.
 void DatagramLane::rest(Duration time) const {
     const timespec rest{0, static_cast<long>(time.count())};
-    pollfd waiting{wake_, POLLIN, 0};
+    pollfd waiting{wake_.get(), POLLIN, 0};
     (void)::ppoll(&waiting, 1, &rest, nullptr);
 }
 

@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "common/clock.hpp"
+#include "common/descriptor.hpp"
 #include "datagrams/endpoint.hpp"
 
 namespace axon::datagrams {
@@ -47,8 +48,8 @@ class DatagramLane {
     const Clock& clock_;
     const Received received_;
     const Due due_;
-    int socket_ = -1;
-    int wake_ = -1;
+    Descriptor socket_;
+    Descriptor wake_;
     Endpoint local_;
     int refused_in_a_row_ = 0;  // confined to the thread
     std::atomic<bool> ending_{false};

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <utility>
 
+#include "common/backoff.hpp"
 #include "common/clock.hpp"
 
 // Times of a direct path. The client beats on its signal connection, each 50 ms while it is busy and each 2 s
@@ -66,12 +65,12 @@ class Retry {
 
     /// `stood`: how long the path was there; zero for an attempt that failed.
     Duration after(Duration stood) {
-        if (stood >= kLast) next_ = kFirst;
-        return std::exchange(next_, std::min(next_ * 2, kLast));
+        if (stood >= kLast) backoff_.reset();
+        return backoff_.next();
     }
 
   private:
-    Duration next_ = kFirst;
+    Backoff backoff_{kFirst, kLast};
 };
 
 /// Counts what has come since it was last acknowledged. Not thread-safe.

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <algorithm>
 #include <atomic>
 #include <chrono>
 
+#include "common/backoff.hpp"
 #include "common/clock.hpp"
 
 namespace axon::client {
@@ -19,22 +19,19 @@ class Reconnection {
     void ask() { asked_ = true; }
     bool isDue(TimePoint now) {
         if (asked_.exchange(false)) {
-            wait_ = kFirst;
-            at_ = now + wait_;
+            wait_.reset();
+            at_ = now + wait_.next();
         }
         return now >= at_;
     }
     void succeeded() { at_ = TimePoint::max(); }
-    void failed(TimePoint now) {
-        wait_ = std::min(wait_ * 2, kLast);
-        at_ = now + wait_;
-    }
+    void failed(TimePoint now) { at_ = now + wait_.next(); }
     /// When it is due; TimePoint::max() while there is a session.
     TimePoint at() const { return at_; }
 
   private:
     std::atomic<bool> asked_{false};
-    Duration wait_{};
+    Backoff wait_{kFirst, kLast};
     TimePoint at_ = TimePoint::max();
 };
 

@@ -139,7 +139,6 @@ FileJournal::Files::~Files() {
     }
     wake_.notify_one();
     thread_.join();
-    if (fd_ >= 0) ::close(fd_);
 }
 
 bool FileJournal::Files::append(std::string line) {
@@ -192,26 +191,26 @@ fs::path FileJournal::Files::fileOf(int age) const {
 }
 
 bool FileJournal::Files::open() {
-    fd_ = ::open(fileOf(0).c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0600);
+    fd_ = Descriptor(::open(fileOf(0).c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0600));
     struct stat facts {};
-    size_ = fd_ >= 0 && ::fstat(fd_, &facts) == 0 ? static_cast<std::uint64_t>(facts.st_size) : 0;
-    return fd_ >= 0;
+    size_ = fd_.open() && ::fstat(fd_.get(), &facts) == 0 ? static_cast<std::uint64_t>(facts.st_size) : 0;
+    return fd_.open();
 }
 
 /// What follows the last end of a line is a part of an entry that was never acknowledged.
 void FileJournal::Files::cutTornLine() {
     auto end = size_;
     char last = '\n';
-    while (end > 0 && ::pread(fd_, &last, 1, static_cast<off_t>(end - 1)) == 1 && last != '\n') --end;
+    while (end > 0 && ::pread(fd_.get(), &last, 1, static_cast<off_t>(end - 1)) == 1 && last != '\n') --end;
     if (end == size_) return;
-    if (::ftruncate(fd_, static_cast<off_t>(end)) != 0) return;
+    if (::ftruncate(fd_.get(), static_cast<off_t>(end)) != 0) return;
     findings_.push_back(fileOf(0).string() + ": the last line was torn by a loss of power or a full disk; " +
                         std::to_string(size_ - end) + " bytes have been cut off.");
     size_ = end;
 }
 
 bool FileJournal::Files::rotate() {
-    ::close(std::exchange(fd_, -1));
+    fd_.reset();
     std::error_code ignored;
     for (int age = bounds_.files - 1; age > 0; --age) fs::rename(fileOf(age - 1), fileOf(age), ignored);
     if (bounds_.files < 2) fs::remove(fileOf(0), ignored);
@@ -219,16 +218,16 @@ bool FileJournal::Files::rotate() {
 }
 
 bool FileJournal::Files::write(const std::string& line) {
-    if (fd_ < 0 && !open()) return false;
+    if (!fd_.open() && !open()) return false;
     if (size_ > 0 && size_ + line.size() > bounds_.file_bytes && !rotate()) return false;
     ssize_t written = 0;
-    do written = ::write(fd_, line.data(), line.size());
+    do written = ::write(fd_.get(), line.data(), line.size());
     while (written < 0 && errno == EINTR);
     if (written == static_cast<ssize_t>(line.size())) {
         size_ += line.size();
         return true;
     }
-    [[maybe_unused]] const auto cut = ::ftruncate(fd_, static_cast<off_t>(size_));
+    [[maybe_unused]] const auto cut = ::ftruncate(fd_.get(), static_cast<off_t>(size_));
     return false;
 }
 

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/descriptor.hpp"
 #include "entity_manager/ports/ports.hpp"
 
 namespace axon::entity_manager {
@@ -88,7 +89,7 @@ class FileJournal final : public Journal {
         const std::string name_;
         const Bounds bounds_;
         std::vector<std::string>& findings_;
-        int fd_ = -1;             // the thread's, once it runs
+        Descriptor fd_;           // the thread's, once it runs
         std::uint64_t size_ = 0;  // likewise; of the present file
 
         std::atomic<bool> failing_{false};  // the last line could not be written

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/links/back_end/application_search.hpp"
 
-#include <algorithm>
 #include <set>
 #include <string_view>
 #include <utility>
@@ -26,12 +25,12 @@ std::string named(const std::string& application, const std::string& instance) {
 }  // namespace
 
 ApplicationSearch::ApplicationSearch(Wanted wanted, Duration first)
-    : wanted_(std::move(wanted)), first_(first) {}
+    : wanted_(std::move(wanted)), pause_(first, kLastPause) {}
 
 void ApplicationSearch::begin(TimePoint now) {
     met_.clear();
-    pause_ = first_;
-    next_ = now + pause_;
+    pause_.reset();
+    next_ = now + pause_.next();
 }
 
 void ApplicationSearch::met(std::uint16_t port, const std::string& application, const std::string& instance,
@@ -41,8 +40,7 @@ void ApplicationSearch::met(std::uint16_t port, const std::string& application, 
 
 std::optional<SearchReport> ApplicationSearch::report(TimePoint now) {
     if (!next_ || now < *next_) return std::nullopt;
-    pause_ = std::min(pause_ * 2, kLastPause);
-    next_ = now + pause_;
+    next_ = now + pause_.next();
     std::erase_if(met_, [&](const auto& entry) { return now - entry.second.at > kRecent; });
 
     const auto& ports = wanted_.where.ports;

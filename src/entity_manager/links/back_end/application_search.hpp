@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 
+#include "common/backoff.hpp"
 #include "common/clock.hpp"
 #include "host/port_range.hpp"
 
@@ -54,8 +55,7 @@ class ApplicationSearch {
         TimePoint at;
     };
     const Wanted wanted_;
-    const Duration first_;
-    Duration pause_{};
+    Backoff pause_;
     std::optional<TimePoint> next_;
     std::map<std::uint16_t, Met> met_;  // by port
 };

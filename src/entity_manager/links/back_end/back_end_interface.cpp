@@ -24,6 +24,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "common/backoff.hpp"
 #include "common/descriptor.hpp"
 #include "common/snapshot.hpp"
 #include "common/watchdog.hpp"
@@ -241,10 +242,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         if (const auto report = search_.report(time)) events_.onLinkSought(*report);
         const auto& range = settings_.where.ports;
         const bool whole = time >= next_whole_look_;
-        if (whole) {
-            backoff_ = std::min(kLastBackoff, backoff_ * 2);
-            next_whole_look_ = time + backoff_;
-        }
+        if (whole) next_whole_look_ = time + backoff_.next();
         if (last_good_ != 0) ports_.push_back(last_good_);
         const unsigned last =
             whole ? range.last : std::min<unsigned>(range.last, range.first + kNearPorts - 1);
@@ -437,7 +435,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         last_good_ = signal->port;
         last_refusal_ = {};
         search_.end();
-        backoff_ = kFirstBackoff / 2;
+        backoff_.reset();
         next_whole_look_ = {};
         look_timer_.cancel();
         watchdog_.feed(now());
@@ -656,7 +654,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     std::map<std::uint16_t, TimePoint> pass_over_;
     std::set<std::shared_ptr<Handshake>> handshakes_;
     std::uint16_t last_good_ = 0;
-    Duration backoff_ = kFirstBackoff / 2;
+    Backoff backoff_{kFirstBackoff, kLastBackoff};
     TimePoint next_whole_look_{};
     Refusal last_refusal_;
     std::shared_ptr<Peer> peer_;
