@@ -22,7 +22,7 @@ namespace axon::cyton {
 ///
 /// Postures are sent kRate times a second, each to be reached within kReach: an application that dies leaves
 /// an arm that stands still 50 ms later. While the controller cannot be reached the services are inactive and
-/// a running task fails with ROBOT_LOST; both mend themselves when it is back. Connecting moves nothing;
+/// a running task fails with ROBOT_LOST; both recover when it is back. Connecting moves nothing;
 /// where the controller has given no pulse since it was switched on, the first task goes home slowly first.
 ///
 /// Threads: those of the Entity Interfacer (stop thread, data thread, one per task) and that of the

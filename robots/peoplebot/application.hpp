@@ -29,7 +29,7 @@ namespace axon::peoplebot {
 /// pose is then that on the map, and the odometry's from `at` on before.
 ///
 /// While the robot cannot be reached its services are inactive and a running task fails with ROBOT_LOST; both
-/// mend themselves when it is back. Threads: those of the Entity Interfacer (stop thread, data thread, one
+/// recover when it is back. Threads: those of the Entity Interfacer (stop thread, data thread, one
 /// per task), that of the ArcosClient, and that of the Lms2xxClient where the laser has a line of its own.
 /// The constructor throws what is wrong with the settings (BadSetting, std::invalid_argument,
 /// axon::Misconfiguration, fuzzy::BadRules).

@@ -21,14 +21,14 @@ enum class Kind { Server, Router, Entity, Client };
 const char* toString(Kind kind);
 std::optional<Kind> kindOf(std::string_view unit);
 
-/// What was asked for, or a file, cannot be used. what() says what was expected, mend() how to get there.
+/// What was asked for, or a file, cannot be used. what() says what was expected, fix() how to get there.
 class Unusable : public std::runtime_error {
   public:
-    Unusable(const std::string& what, std::string mend) : std::runtime_error(what), mend_(std::move(mend)) {}
-    const std::string& mend() const { return mend_; }
+    Unusable(const std::string& what, std::string fix) : std::runtime_error(what), fix_(std::move(fix)) {}
+    const std::string& fix() const { return fix_; }
 
   private:
-    std::string mend_;
+    std::string fix_;
 };
 
 /// A certificate and its private key, both PEM.

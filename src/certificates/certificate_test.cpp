@@ -18,13 +18,13 @@ using testing::Not;
 constexpr WallTime kNow{sys_days{year{2026} / 11 / 21}};
 
 struct Complaint {
-    std::string what = "accepted", mend;
+    std::string what = "accepted", fix;
 };
 Complaint complaint(const std::function<void()>& action) {
     try {
         action();
     } catch (const Unusable& unusable) {
-        return {unusable.what(), unusable.mend()};
+        return {unusable.what(), unusable.fix()};
     }
     return {};
 }
@@ -95,10 +95,10 @@ TEST_F(Certificates, NothingOutlivesTheAuthorityThatSignedIt) {
     EXPECT_EQ(issued({Kind::Client, {"client1"}, days{365}}, end - days{10}).until, end);
     const auto late = complaint([&] { issue(authority, {Kind::Client, {"client1"}}, end); });
     EXPECT_THAT(late.what, HasSubstr("the CA expired on 2036-11-21"));
-    EXPECT_THAT(late.mend, HasSubstr("axon certs init --force"));
+    EXPECT_THAT(late.fix, HasSubstr("axon certs init --force"));
     EXPECT_THAT(complaint([&] {
                     issue(authority, {Kind::Client, {"client1"}}, kNow - days{1});
-                }).mend,
+                }).fix,
                 HasSubstr("clock"));
 }
 
@@ -132,7 +132,7 @@ TEST_F(Certificates, AreReadFromAnyTextOrRefused) {
           std::string(100'000, '-')}) {
         const auto said = complaint([&] { readCertificates(text, "f.pem"); });
         EXPECT_THAT(said.what, HasSubstr("f.pem: expected a certificate in PEM form"));
-        EXPECT_THAT(said.mend, HasSubstr(".cert.pem"));
+        EXPECT_THAT(said.fix, HasSubstr(".cert.pem"));
     }
 }
 

@@ -29,21 +29,21 @@ std::string because() {
     return std::generic_category().message(errno);
 }
 
-std::string contentOf(const fs::path& file, const std::string& mend) {
+std::string contentOf(const fs::path& file, const std::string& fix) {
     const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
-    if (fd.get() < 0) throw Unusable(file.string() + " cannot be read: " + because(), mend);
+    if (fd.get() < 0) throw Unusable(file.string() + " cannot be read: " + because(), fix);
     struct stat facts {};
     if (::fstat(fd.get(), &facts) != 0 || !S_ISREG(facts.st_mode))
-        throw Unusable(file.string() + ": expected a regular file", mend);
+        throw Unusable(file.string() + ": expected a regular file", fix);
     std::string text;
     std::array<char, 4096> buffer;
     while (true) {
         const auto got = ::read(fd.get(), buffer.data(), buffer.size());
         if (got < 0 && errno == EINTR) continue;
-        if (got < 0) throw Unusable(file.string() + " cannot be read: " + because(), mend);
+        if (got < 0) throw Unusable(file.string() + " cannot be read: " + because(), fix);
         if (got == 0) return text;
         text.append(buffer.data(), static_cast<std::size_t>(got));
-        if (text.size() > kFileMax) throw Unusable(file.string() + ": expected at most 1 MiB", mend);
+        if (text.size() > kFileMax) throw Unusable(file.string() + ": expected at most 1 MiB", fix);
     }
 }
 
@@ -153,9 +153,9 @@ Written Folder::issue(const Request& request, WallTime now, bool force) const {
     const auto folder = " --folder " + path_.string();
     std::error_code error;
     const bool missing = !fs::exists(path_ / kAuthorityFile, error) && !error;
-    const std::string mend = missing ? "axon certs init" + folder + " makes one"
-                                     : "run this as the user who made the CA, or name another folder";
-    const Issued authority{contentOf(path_ / kAuthorityFile, mend), contentOf(path_ / kAuthorityKey, mend)};
+    const std::string fix = missing ? "axon certs init" + folder + " makes one"
+                                    : "run this as the user who made the CA, or name another folder";
+    const Issued authority{contentOf(path_ / kAuthorityFile, fix), contentOf(path_ / kAuthorityKey, fix)};
     const auto issued = certificates::issue(authority, request, now);
     const auto stem = fileStem(request);
     const std::vector<NewFile> files{{path_ / (stem + ".key.pem"), issued.key, 0600},

@@ -20,7 +20,7 @@ struct Written {
 ///     ca.key.pem  0600    stays here: whoever has it can be anybody
 ///     KIND-NAME.cert.pem, KIND-NAME.key.pem (0600), KIND-NAME.cfg
 ///
-/// Threads: one. Failure: Unusable, with the mend; what was there before is then still there, whole. Nothing
+/// Threads: one. Failure: Unusable, with the fix; what was there before is then still there, whole. Nothing
 /// is overwritten without `force`.
 class Folder {
   public:

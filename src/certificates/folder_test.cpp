@@ -36,7 +36,7 @@ std::string complaint(const std::function<void()>& action) {
     try {
         action();
     } catch (const Unusable& unusable) {
-        return std::string(unusable.what()) + "; mend: " + unusable.mend();
+        return std::string(unusable.what()) + "; fix: " + unusable.fix();
     }
     return "accepted";
 }
@@ -103,7 +103,7 @@ TEST_F(CertificateFolder, OverwritesNothingUnlessItIsForced) {
 
 TEST_F(CertificateFolder, SaysThatThereIsNoCaAndHowToMakeOne) {
     EXPECT_THAT(complaint([&] { folder.issue(kClient, kNow, false); }),
-                HasSubstr("mend: axon certs init --folder " + folder.path().string()));
+                HasSubstr("fix: axon certs init --folder " + folder.path().string()));
     EXPECT_THAT(complaint([&] { folder.certificateFiles(); }), HasSubstr("cannot be read"));
     folder.init(kNow, false);
     fs::remove(folder.path() / "ca.key.pem");

@@ -30,7 +30,7 @@ struct DaemonOptions {
     std::optional<int> exit_code;
 };
 
-/// Throws std::runtime_error with the mend for a configuration that cannot be used.
+/// Throws std::runtime_error with the fix for a configuration that cannot be used.
 DaemonOptions readDaemonOptions(int argc, const char* const* argv);
 
 }  // namespace axon::entity_manager

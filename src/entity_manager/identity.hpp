@@ -15,7 +15,7 @@ struct Identity {
 };
 
 /// Keeps the secret in the state folder, and makes it there for a robot that has no UUID yet. Throws
-/// std::runtime_error, with the mend, where the secret is damaged or is not that of the UUID, or is missing
+/// std::runtime_error, with the fix, where the secret is damaged or is not that of the UUID, or is missing
 /// beside a bound one. A UUID that is none is left to the core, which says so.
 Identity identityIn(Storage& storage, RandomSource& random);
 

@@ -49,7 +49,7 @@ int main(int argc, char** argv) {
         asio::post(executor, [] { transport::requestRealTime(transport::kReceiptPriority); });
         const auto ice = std::make_shared<ServerCommunicators>(1, 1, options.ice_properties);
         if (!options.server.router.empty())
-            transport::routerProxy(*ice->data(), options.server.router);  // or a mend
+            transport::routerProxy(*ice->data(), options.server.router);  // or a fix
         const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,
                                                    EntityManager::overTcp(options.back_end, random), clock,
                                                    random, storage, resources, &journal);

@@ -170,7 +170,7 @@ std::string otherName(std::string name) {
     return validUtf8(name);
 }
 
-void mend(std::string& text) {
+void makeValid(std::string& text) {
     text = cutUtf8(validUtf8(text), kTextMax);
 }
 
@@ -178,7 +178,7 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
                    std::size_t profile_bytes_max) {
     if (registration.name.empty() || registration.name.size() > kNameMax) {
         return refuse(RefusalCode::BadName,
-                      "the entity's name must have 1 to 256 characters; mend <entity_name> in the "
+                      "the entity's name must have 1 to 256 characters; fix <entity_name> in the "
                       "basic profile");
     }
     if (!isEntityName(registration.name)) {
@@ -191,7 +191,7 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
     for (const auto* text : {&registration.name, &registration.category, &registration.type}) {
         if (text->size() > kTextMax || validUtf8(*text) != *text) {
             return refuse(RefusalCode::Malformed,
-                          "a text of the registration is no UTF-8 or longer than 1024 bytes; mend the basic "
+                          "a text of the registration is no UTF-8 or longer than 1024 bytes; fix the basic "
                           "profile");
         }
     }
@@ -199,7 +199,7 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
         if (period < kHeartbeatMinMs || period > kHeartbeatMaxMs) {
             return refuse(RefusalCode::OutOfRange,
                           "a heartbeat period of " + std::to_string(period) +
-                              " ms: expected 10 to 60000 ms; mend it in the Entity Manager's "
+                              " ms: expected 10 to 60000 ms; fix it in the Entity Manager's "
                               "configuration");
         }
     }
@@ -353,7 +353,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
     if (!session->registered || flooded(session)) return;
     status.entity = session->entity;
     status.server = settings_.name;
-    for (auto* text : {&status.holder.id, &status.holder.name, &status.reason}) mend(*text);
+    for (auto* text : {&status.holder.id, &status.holder.name, &status.reason}) makeValid(*text);
     bool became_busy = false;
     bool late = false;  // granted to a client whose server was gone before the grant was known here
     std::int64_t heartbeat = 0;

@@ -40,9 +40,9 @@ std::string counted(std::size_t number, const char* one) {
 }
 
 Finding errorIn(const std::string& name, int line, std::string element, std::string expected,
-                std::string mend) {
-    return {validUtf8(name),     line,           Finding::Severity::Error, std::move(element),
-            std::move(expected), std::move(mend)};
+                std::string fix) {
+    return {validUtf8(name),     line,          Finding::Severity::Error, std::move(element),
+            std::move(expected), std::move(fix)};
 }
 
 proto::GlobalServicesFile entryOf(const std::string& name, const proto::GlobalProfile& profile,

@@ -52,8 +52,8 @@ class CompositesReader {
   private:
     const proto::Service& service(int position) const { return profile_.services(position); }
     bool composite(int position) const { return service(position).type() == proto::CMPLX; }
-    void fault(int position, std::string expected, std::string mend, bool error = true) {
-        out_.faults.push_back({position, error, std::move(expected), std::move(mend)});
+    void fault(int position, std::string expected, std::string fix, bool error = true) {
+        out_.faults.push_back({position, error, std::move(expected), std::move(fix)});
     }
 
     void findReferences() {

@@ -24,7 +24,7 @@ struct Composites {
         int service;
         bool error;  ///< else a warning
         std::string expected;
-        std::string mend;
+        std::string fix;
     };
 
     static constexpr std::size_t kParts = 256;                 ///< of one composite

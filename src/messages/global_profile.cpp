@@ -190,8 +190,8 @@ class GlobalReader {
             for (const auto& source : step.sources()) {
                 const auto& attribute = *place->attribute;
                 const std::string label = (place++)->element + " param_from";
-                const auto report = [&](std::string expected, std::string mend) {
-                    findings_.error(attribute.line, label, std::move(expected), std::move(mend));
+                const auto report = [&](std::string expected, std::string fix) {
+                    findings_.error(attribute.line, label, std::move(expected), std::move(fix));
                 };
                 if (source.step().empty() || source.output().empty()) {
                     report("a step's name, '.', and the name of one of its OUTPUT parameters, found " +

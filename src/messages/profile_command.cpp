@@ -36,7 +36,7 @@ void printJson(const Finding& finding, std::ostream& out) {
     out << "{\"file\":" << jsonText(finding.file) << ",\"line\":" << finding.line
         << ",\"severity\":" << (finding.severity == Finding::Severity::Error ? "\"error\"" : "\"warning\"")
         << ",\"element\":" << jsonText(finding.element) << ",\"expected\":" << jsonText(finding.expected)
-        << ",\"fix\":" << jsonText(finding.mend) << "}\n";
+        << ",\"fix\":" << jsonText(finding.fix) << "}\n";
 }
 
 std::string counted(std::size_t number, std::string_view what) {

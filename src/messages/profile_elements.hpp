@@ -30,20 +30,19 @@ class Findings {
   public:
     explicit Findings(std::string_view file) : file_(file) {}
 
-    void add(Severity severity, int line, std::string element, std::string expected, std::string mend) {
+    void add(Severity severity, int line, std::string element, std::string expected, std::string fix) {
         if (severity == Severity::Error) ++errors_;
         if (findings_.size() >= kMaxFindings) {
             ++left_out_;
             return;
         }
-        findings_.push_back(
-            {file_, line, severity, std::move(element), std::move(expected), std::move(mend)});
+        findings_.push_back({file_, line, severity, std::move(element), std::move(expected), std::move(fix)});
     }
-    void error(int line, std::string element, std::string expected, std::string mend) {
-        add(Severity::Error, line, std::move(element), std::move(expected), std::move(mend));
+    void error(int line, std::string element, std::string expected, std::string fix) {
+        add(Severity::Error, line, std::move(element), std::move(expected), std::move(fix));
     }
-    void warning(int line, std::string element, std::string expected, std::string mend) {
-        add(Severity::Warning, line, std::move(element), std::move(expected), std::move(mend));
+    void warning(int line, std::string element, std::string expected, std::string fix) {
+        add(Severity::Warning, line, std::move(element), std::move(expected), std::move(fix));
     }
 
     std::vector<Finding> take() {
@@ -53,7 +52,7 @@ class Findings {
             findings_.push_back({file_, 0, errors_ > 0 ? Severity::Error : Severity::Warning, "document",
                                  "at most " + std::to_string(kMaxFindings) + " findings, there are " +
                                      std::to_string(left_out_) + " more",
-                                 "mend the ones above and check again"});
+                                 "fix the ones above and check again"});
         }
         return std::move(findings_);
     }
@@ -69,7 +68,7 @@ template <class Enum>
 struct Spelling {
     std::string_view text;
     Enum value;
-    std::string_view mend = {};  ///< not empty: a tolerated spelling, and what to write instead
+    std::string_view fix = {};  ///< not empty: a tolerated spelling, and what to write instead
 };
 
 /// One element under reading: its attributes and children are taken by name, and what nobody took is
@@ -87,11 +86,11 @@ class Reader {
     const std::string& label() const { return label_; }
     void nameIt(std::string_view name) { label_ = element_.name + " " + inQuotes(name); }
 
-    void error(int line, std::string_view attribute, std::string expected, std::string mend) {
-        findings_.error(line, about(attribute), std::move(expected), std::move(mend));
+    void error(int line, std::string_view attribute, std::string expected, std::string fix) {
+        findings_.error(line, about(attribute), std::move(expected), std::move(fix));
     }
-    void warning(int line, std::string_view attribute, std::string expected, std::string mend) {
-        findings_.warning(line, about(attribute), std::move(expected), std::move(mend));
+    void warning(int line, std::string_view attribute, std::string expected, std::string fix) {
+        findings_.warning(line, about(attribute), std::move(expected), std::move(fix));
     }
 
     const XmlAttribute* take(std::string_view name) {
@@ -207,7 +206,7 @@ class Reader {
                                bool required) {
         std::vector<std::string> allowed;
         for (const auto& spelling : spellings)
-            if (spelling.mend.empty()) allowed.emplace_back(spelling.text);
+            if (spelling.fix.empty()) allowed.emplace_back(spelling.text);
         const std::string expected = "one of " + joined(allowed);
         const auto* found = take(attribute);
         if (found == nullptr) {
@@ -217,15 +216,15 @@ class Reader {
         const auto text = trimmed(found->value);
         for (const auto& spelling : spellings) {
             if (spelling.text != text) continue;
-            if (!spelling.mend.empty())
+            if (!spelling.fix.empty())
                 warning(found->line, attribute, expected + ", found " + inQuotes(text),
-                        std::string(spelling.mend));
+                        std::string(spelling.fix));
             return spelling.value;
         }
-        std::string mend = "write one of them";
+        std::string fix = "write one of them";
         for (const auto& name : allowed)
-            if (equalIgnoringCase(name, text)) mend = "write " + name;
-        error(found->line, attribute, expected + ", found " + inQuotes(found->value), std::move(mend));
+            if (equalIgnoringCase(name, text)) fix = "write " + name;
+        error(found->line, attribute, expected + ", found " + inQuotes(found->value), std::move(fix));
         return {};
     }
 

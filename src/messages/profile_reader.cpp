@@ -70,7 +70,7 @@ Reading<Message> readProfile(std::string_view xml, std::string_view file_name, P
     Reading<Message> reading;
     const auto document = parseXml(xml);
     for (const auto& fault : document.faults)
-        findings.error(fault.line, fault.element, fault.expected, fault.mend);
+        findings.error(fault.line, fault.element, fault.expected, fault.fix);
     if (document.root) {
         const auto& root = *document.root;
         if (kindOf(root.name) != kind) {
@@ -96,7 +96,7 @@ Reading<Message> readProfile(std::string_view xml, std::string_view file_name, P
 
 std::string Finding::toString() const {
     return file + ":" + std::to_string(line) + ": " + (severity == Severity::Error ? "error" : "warning") +
-           ": " + element + ": " + expected + ": " + mend;
+           ": " + element + ": " + expected + ": " + fix;
 }
 
 bool hasError(const std::vector<Finding>& findings) {
@@ -152,9 +152,9 @@ Reading<proto::GlobalProfile> readGlobalProfile(std::string_view xml, std::strin
 
 ProfileText readProfileText(const std::filesystem::path& path, std::string_view shown_name) {
     ProfileText text;
-    const auto unreadable = [&](std::string expected, std::string mend) {
-        text.unreadable = Finding{std::string(shown_name), 0, Severity::Error, "file", std::move(expected),
-                                  std::move(mend)};
+    const auto unreadable = [&](std::string expected, std::string fix) {
+        text.unreadable =
+            Finding{std::string(shown_name), 0, Severity::Error, "file", std::move(expected), std::move(fix)};
         return text;
     };
     std::error_code failure;
@@ -199,7 +199,7 @@ ProfileCheck checkProfileFile(const std::filesystem::path& path) {
     Findings findings(name);
     const auto document = parseXml(xml);
     for (const auto& fault : document.faults)
-        findings.error(fault.line, fault.element, fault.expected, fault.mend);
+        findings.error(fault.line, fault.element, fault.expected, fault.fix);
     if (document.root)
         findings.error(document.root->line, document.root->name,
                        "one of <BasicProfile>, <ServiceProfile>, <GlobalProfile> as the outermost element",

@@ -19,7 +19,7 @@ struct Finding {
     Severity severity = Severity::Error;
     std::string element;   ///< `Param "Distance"`, with the attribute where it is about one
     std::string expected;  ///< what was expected, and what was found
-    std::string mend;      ///< what to write instead
+    std::string fix;       ///< what to write instead
 
     /// `file:line: severity: element: what was expected: how to fix it`
     std::string toString() const;

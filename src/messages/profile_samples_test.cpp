@@ -99,13 +99,13 @@ TEST(ProfileSamples, InvalidOnesAreErrorsAtTheLineTheyName) {
         EXPECT_TRUE(found) << file << " expects, in line " << line << ", " << part << "; found\n"
                            << listed(check.findings);
         for (const auto& finding : check.findings) {
-            EXPECT_FALSE(finding.element.empty() || finding.expected.empty() || finding.mend.empty())
+            EXPECT_FALSE(finding.element.empty() || finding.expected.empty() || finding.fix.empty())
                 << finding.toString();
         }
     }
 }
 
-/// One defect must not bring a crowd of findings with it: a person mends one line and is done.
+/// One defect must not bring a crowd of findings with it: a person fixes one line and is done.
 TEST(ProfileSamples, InvalidOnesHaveOneFindingEach) {
     for (const auto& file : samples("invalid")) {
         if (file.filename() == "tag_left_open.xml" || file.filename() == "quotes_missing.xml" ||

@@ -436,9 +436,9 @@ class ServicesReader {
             const int line = lines_[static_cast<std::size_t>(fault.service)];
             const auto element = "Service " + inQuotes(profile_.services(fault.service).name());
             if (fault.error)
-                findings_.error(line, element, fault.expected, fault.mend);
+                findings_.error(line, element, fault.expected, fault.fix);
             else
-                findings_.warning(line, element, fault.expected, fault.mend);
+                findings_.warning(line, element, fault.expected, fault.fix);
         }
     }
 

@@ -98,9 +98,9 @@ class TreeBuilder {
   private:
     static TreeBuilder& to(void* self) { return *static_cast<TreeBuilder*>(self); }
 
-    void fault(int line, std::string element, std::string expected, std::string mend) {
+    void fault(int line, std::string element, std::string expected, std::string fix) {
         if (!halted_)
-            document_.faults.push_back({line, std::move(element), std::move(expected), std::move(mend)});
+            document_.faults.push_back({line, std::move(element), std::move(expected), std::move(fix)});
     }
 
     /// What follows is not looked at: errors that libxml2 still reports are consequences of the halt.
@@ -165,7 +165,7 @@ class TreeBuilder {
             if (isSpace(c)) c = ' ';
         fault(error.line, open_.empty() ? "document" : open_.back()->name,
               "well-formed XML, found: " + std::string(trimmed(reason)),
-              "mend the markup here or just before: tags closed in order, quotes around every value, & "
+              "fix the markup here or just before: tags closed in order, quotes around every value, & "
               "written &amp;");
     }
 
@@ -219,8 +219,8 @@ class TreeBuilder {
 
 XmlDocument parseXml(std::string_view xml) {
     XmlDocument document;
-    const auto refuse = [&](int line, std::string expected, std::string mend) {
-        document.faults.push_back({line, "document", std::move(expected), std::move(mend)});
+    const auto refuse = [&](int line, std::string expected, std::string fix) {
+        document.faults.push_back({line, "document", std::move(expected), std::move(fix)});
         return std::move(document);
     };
     if (xml.size() > kMaxXmlBytes)

@@ -28,7 +28,7 @@ struct XmlFault {
     int line = 0;
     std::string element;
     std::string expected;
-    std::string mend;
+    std::string fix;
 };
 
 /// The document as a tree, or why there is none.

@@ -305,7 +305,7 @@ class ChainTest(unittest.TestCase):
         self.assert_works()
 
     def test_misconfiguration_ends_with_two_and_the_mend(self):
-        for program, options, mend in (
+        for program, options, fix in (
                 ("axon-entity-manager", [], "--application"),
                 ("axon-entity-manager", ["--application", "x", "--ports", "80-90"], "5500"),
                 ("axon-entity-manager", ["--application", "x", "--server", "nonsense"], "HOST:PORT"),
@@ -314,7 +314,7 @@ class ChainTest(unittest.TestCase):
             process = self.lab.start(f"wrong-{len(self.lab.processes)}", program, *options)
             process.child.wait(10)
             self.assertEqual(process.child.returncode, 2, f"{program} {options}: {process.text()}")
-            self.assertIn(mend, process.text(), f"{program} {options}")
+            self.assertIn(fix, process.text(), f"{program} {options}")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ void exercise(std::string_view xml, const Read& read, const Write& write) {
     require(reading.findings.size() <= axon::kMaxFindings + 1, "the number of findings is bounded");
     for (const auto& finding : reading.findings) {
         require(finding.line >= 0, "lines are counted from 1, 0 for the whole file");
-        require(!finding.element.empty() && !finding.expected.empty() && !finding.mend.empty(),
+        require(!finding.element.empty() && !finding.expected.empty() && !finding.fix.empty(),
                 "a finding is complete");
     }
     // The writer indents, and writes choices as elements: a text near the limits may leave them. From 16 KiB

@@ -131,7 +131,7 @@ int certs(Session& session) {
         if (action == "show") return show(session, folder);
         return action == "init" ? init(session, Folder(folder)) : issue(session, Folder(folder));
     } catch (const Unusable& unusable) {
-        session.events.emit(usageEvent(unusable.what(), unusable.mend()));
+        session.events.emit(usageEvent(unusable.what(), unusable.fix()));
     } catch (const std::exception& error) {
         session.events.emit(usageEvent(error.what()));
     }

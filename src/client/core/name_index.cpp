@@ -150,15 +150,15 @@ Result<std::vector<std::string>> NameIndex::meant(std::string_view text, Scope s
     if (!folded_same.empty()) return folded_same;
 
     const auto near = nearNames(text, all_names);
-    std::string mend;
+    std::string fix;
     if (!near.empty()) {
-        mend = " Did you mean " + alternatives(near) + "?";
+        fix = " Did you mean " + alternatives(near) + "?";
     } else if (names_.empty()) {
-        mend = " No entity is connected to the server: start an Entity Manager and its robot application.";
+        fix = " No entity is connected to the server: start an Entity Manager and its robot application.";
     } else {
-        mend = " List the entities to see what is there.";
+        fix = " List the entities to see what is there.";
     }
-    return Refusal{RefusalCode::UnknownEntity, "No entity is called " + inQuotes(text) + "." + mend, {}};
+    return Refusal{RefusalCode::UnknownEntity, "No entity is called " + inQuotes(text) + "." + fix, {}};
 }
 
 }  // namespace axon::client

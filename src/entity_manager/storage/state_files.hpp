@@ -42,7 +42,7 @@ class File {
 /// Two digits for each byte.
 std::string hex(std::string_view bytes);
 
-/// Makes the folder (mode 0700) where it is missing. Throws std::runtime_error that says how to mend it.
+/// Makes the folder (mode 0700) where it is missing. Throws std::runtime_error that says how to fix it.
 void makeFolder(const std::filesystem::path& folder);
 
 /// What has been renamed or deleted in it outlives a loss of power from now on. False: it may not.

@@ -227,7 +227,7 @@ Refusal Teamwork::checkSubLease(const Sender& master, const proto::FromMaster& m
     return {};
 }
 
-/// All that would make a step fail, so that nothing moves before it is mended.
+/// All that would make a step fail, so that nothing moves before it is fixed.
 void Teamwork::problemsOf(const proto::Invitation& invitation, proto::InvitationAnswer& answer) const {
     int more = 0;
     const auto add = [&](const proto::Problem& found) {

@@ -63,7 +63,7 @@ class BackEndEvents {
 /// nonsense or does not read ends the link (onLinkDown), and looking begins again.
 class BackEndInterface final : public BackEndPort {
   public:
-    /// Throws std::invalid_argument, with the mend, where the settings cannot work.
+    /// Throws std::invalid_argument, with the fix, where the settings cannot work.
     BackEndInterface(asio::any_io_executor strand, BackEndSettings settings,
                      const StopGenerations& stop_generations, const Clock& clock, RandomSource& random,
                      BackEndEvents& events);

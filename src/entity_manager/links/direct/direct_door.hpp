@@ -36,7 +36,7 @@ struct DirectSettings {
 /// Where in the flow: beside EntityCommunicator. Threads: those of the two adapters, one each, the signal
 /// lane's under SCHED_RR where permitted; what they bring goes to `events`. Ownership: listens until shut();
 /// the destructor waits until every opening is answered and joins the threads, so it runs neither on one of
-/// them nor on the strand that answers. Failure: the constructor throws std::runtime_error with the mend
+/// them nor on the strand that answers. Failure: the constructor throws std::runtime_error with the fix
 /// where it cannot listen.
 class DirectDoor {
   public:
