@@ -22,7 +22,7 @@ Ports: PeopleBots {robot} and up, {devices}, cameras {camera} (HTTP), colour blo
 control {control}, --view {view};
 with a --port of your own, the others are free ports. When all of them listen, one line says where:
   ready PeopleBot=127.0.0.1:{robot} PeopleBot.camera=127.0.0.1:{camera} ... control=127.0.0.1:{control}
-Ends on Ctrl-C. Exit status: 0 ended on request; 2 the options are wrong.)";
+Ends on Ctrl-C. Exit status: 0 ended on request; 2 an option, the world or a port cannot be used.)";
 
 }  // namespace
 

@@ -576,7 +576,7 @@ class LabServer::Loop final : Control::Operator {
 
     const Options options_;
     const WorldDescription world_;
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     Descriptor wake_;
     Laboratory lab_;
     Control control_{lab_, world_, *this};

@@ -65,8 +65,7 @@ struct World::Robot {
 };
 
 World::World(std::uint64_t seed, Faults faults)
-    : seed_(seed),
-      seeds_(seed * 0x9E3779B97F4A7C15ULL + static_cast<std::uint64_t>(faults)),
+    : seeds_(seed * 0x9E3779B97F4A7C15ULL + static_cast<std::uint64_t>(faults)),
       network_dice_(seeds_.next()),
       fault_dice_(seeds_.next()),
       outside_(timeline_, 0, "world"),
@@ -287,8 +286,10 @@ void World::injectOne(Faults kind, TimePoint at) {
         return std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(time).count()) + " ms";
     };
     switch (kind) {
-        case Faults::Delay:
-        case Faults::Reorder: {
+        case Faults::Reorder:
+            if (!direct_only_ && fault_dice_.chance(0.2)) return overtakenByItsSendersEnd(length);
+            [[fallthrough]];
+        case Faults::Delay: {
             auto& path = anyPath();
             const auto most = fault_dice_.between(5ms, kind == Faults::Delay ? 300ms : 150ms);
             if (!isRoad(path)) observer_.delayed(most);
@@ -382,6 +383,28 @@ void World::injectOne(Faults kind, TimePoint at) {
         case Faults::All:
             return;
     }
+}
+
+void World::overtakenByItsSendersEnd(Duration length) {
+    const auto number = fault_dice_.roll(users_.size());
+    users_[number]->ambush = [this, number, length] {
+        const Victim victim{&clients_[number]->process(), 0, number};
+        timeline_.tell("FAULT", [&] {
+            return victim.process->name() + " dies, and the news of it overtakes what it has asked for";
+        });
+        std::vector<Connection*> slow;
+        for (const auto& robot : robots_)
+            for (auto* connection : robot->manager.serverPath().connections)
+                if (fault_dice_.chance(0.5)) slow.push_back(connection);
+        for (auto* connection : slow) connection->extra = fault_dice_.between(50ms, 150ms);
+        timeline_.after(length, outside_, [slow] {
+            for (auto* connection : slow) connection->extra = {};
+        });
+        const auto until = TimePoint{1000s} + kFaultsUntil - 500ms;
+        timeline_.after(fault_dice_.between(0ms, 3ms), outside_, [this, victim, length, until] {
+            if (timeline_.now() < until) crash(victim, true, length);
+        });
+    };
 }
 
 void World::atSomeMoment(std::function<void()> strike) {

@@ -66,6 +66,9 @@ class World {
     };
     void planFaults(Faults faults);
     void injectOne(Faults kind, TimePoint at);
+    /// When a client asks for something next, it dies, and the server's word of that arrives at the Entity
+    /// Managers before what it has asked for.
+    void overtakenByItsSendersEnd(Duration length);
     /// Now, or some moments after a user has asked for something.
     void atSomeMoment(std::function<void()> strike);
     void freeze(const Victim& victim, Duration time);
@@ -81,7 +84,6 @@ class World {
     void judgeEnd();
     std::string nameOf(const Path& path) const;
 
-    const std::uint64_t seed_;
     SeededRandom seeds_;
     Timeline timeline_;
     Dice network_dice_, fault_dice_;

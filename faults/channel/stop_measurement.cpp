@@ -151,7 +151,7 @@ class TcpReceiver {
 
   private:
     void run() {
-        const SteadyClock clock;
+        const SteadyClock clock{};
         std::vector<std::string> pending(sockets_.size());
         std::vector<pollfd> waiting;
         for (const auto& socket : sockets_) waiting.push_back({socket.get(), POLLIN, 0});
@@ -246,7 +246,7 @@ class Datagrams {
         return true;
     }
 
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     std::vector<datagrams::StopSentry> sentries_;
     Ledger& ledger_;
     std::mutex mutex_;
@@ -296,7 +296,7 @@ Figures measureStops(const TwoSides& sides, const Sending& sending, const Worklo
     }
     std::sort(plan.begin(), plan.end(), [](const Due& a, const Due& b) { return a.at < b.at; });
 
-    const SteadyClock clock;
+    const SteadyClock clock{};
     const auto begin = clock.now();
     for (const auto& due : plan) {
         std::this_thread::sleep_until(begin + due.at);

@@ -140,7 +140,7 @@ class TwoSides::Carrier {
         sched_param parameters{};
         parameters.sched_priority = 20;
         pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
-        const SteadyClock clock;
+        const SteadyClock clock{};
         while (!ending_) {
             auto next = TimePoint::max();
             for (auto& lane : lanes_) {

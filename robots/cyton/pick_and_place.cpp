@@ -75,7 +75,8 @@ bool clear(const Kinematics& kinematics, const Joints& joints, const Surrounding
     if (surroundings.carried_below)
         probes.emplace_back(tool.position - Point{0, 0, *surroundings.carried_below}, kHandClearance);
     return std::all_of(probes.begin(), probes.end(), [&](const auto& probe) {
-        const auto& [point, clearance] = probe;
+        const auto& point = probe.first;
+        const double clearance = probe.second;
         return point[2] > clearance * 0.8 &&
                std::none_of(surroundings.columns.begin(), surroundings.columns.end(),
                             [&](const Column& column) { return column.touches(point, clearance); });

@@ -113,7 +113,6 @@ class Navigation {
     double least_rest_mm_ = 0;
     TimePoint got_on_;
     int tries_ = 0;
-    unsigned bumpers_ = 0;
     int recoil_direction_ = -1;
     int facing_ = 0;  // the way round to the goal's heading: 1 to the left, -1 to the right, 0 not chosen
     bool turned_back_ = false;  // from the way round that was chosen first

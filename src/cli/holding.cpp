@@ -16,6 +16,9 @@ namespace {
 /// is.
 std::string fixFor(const Session& session, const Refusal& refusal, const std::string& entity) {
     const auto x = entity.empty() ? std::string("ENTITY") : shellWord(entity);
+    if (refusal.code == RefusalCode::TimedOut && !refusal.holder.empty())
+        return "give it more time: axon checkout " + x +
+               " --wait=SECONDS; or ask the holder: axon checkout " + x + " --ask REASON";
     const bool held = refusal.code == RefusalCode::AlreadyHeld || refusal.code == RefusalCode::Reserved;
     if (!session.station || !(held || refusal.code == RefusalCode::NotHolder)) return {};
     const auto self = session.station->self();

@@ -57,7 +57,7 @@ int main(int argc, char** argv) {
         return cli::askPassword(settings.user, settings.server);
     });
     std::thread(takeSignals, signals, std::ref(invoker)).detach();
-    const SteadyClock clock;
+    const SteadyClock clock{};
     int exit = cli::kDone;
     {
         const auto terminal = cli::Terminal::ofStandardOutput();

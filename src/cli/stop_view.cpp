@@ -92,7 +92,7 @@ void PersonView::showDrill(const Json& event) {
                                      std::pair<const char*, const Json&>{"robot application", callback}}) {
         if (part.value("n", 0) == 0) continue;
         const auto never = part.value("never_arrived", 0);
-        const auto cell = [&](const char* member) -> Cell {
+        const auto cell = [&part = part](const char* member) -> Cell {
             const auto value = part.value(member, Json());
             if (value.is_number()) return {stageText(value)};
             return {value.is_string() ? "never" : ""};

@@ -40,7 +40,7 @@ std::string titleOf(const proto::GlobalStep& step) {
 
 proto::Problem andMore(int count) {
     return problem({}, -1, RefusalCode::Malformed,
-                   "… and " + std::to_string(count) + " more. Mend these first.");
+                   "… and " + std::to_string(count) + " more. Fix these first.");
 }
 
 Duration beatPeriod(Duration own, std::uint32_t other_ms) {

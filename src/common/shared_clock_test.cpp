@@ -184,7 +184,7 @@ TEST_F(SharedClockTest, AProgramTakesTheLaboratorysTimeWhereTheEnvironmentSaysSo
 }
 
 TEST(Waiting, OnTheMachinesTimeEndsAtTheDeadlineOrWithTheCondition) {
-    const SteadyClock clock;
+    const SteadyClock clock{};
     std::mutex mutex;
     std::condition_variable changed;
     std::unique_lock lock(mutex);

@@ -18,7 +18,6 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr Endpoint kManager{0x7f000001, 4000};
-constexpr Endpoint kClient{0x7f000001, 4001};
 
 class World {
   public:

@@ -349,7 +349,7 @@ TEST(EndpointText, IsReadAndWritten) {
 }
 
 TEST(DatagramLane, CarriesBothWaysAndSurvivesAFlood) {
-    const SteadyClock clock;
+    const SteadyClock clock{};
     const auto address = parseAddress(test::loopbackAddress()).value();
     std::atomic<int> good{0}, bad{0}, answered{0};
     const DatagramLane server(
@@ -379,7 +379,7 @@ TEST(DatagramLane, CarriesBothWaysAndSurvivesAFlood) {
 }
 
 TEST(DatagramLane, CallsWhatIsDueWhenItIsWoken) {
-    const SteadyClock clock;
+    const SteadyClock clock{};
     std::atomic<int> calls{0};
     DatagramLane lane(
         "test-due", {parseAddress(test::loopbackAddress()).value(), 0}, clock,
@@ -394,7 +394,7 @@ TEST(DatagramLane, CallsWhatIsDueWhenItIsWoken) {
 }
 
 TEST(DatagramLane, AnAddressOfAnotherMachineIsAMisconfiguration) {
-    const SteadyClock clock;
+    const SteadyClock clock{};
     EXPECT_THROW(DatagramLane(
                      "test", {0xc0000201, 0}, clock,
                      [](const DatagramLane&, const Endpoint&, std::string_view) { return true; }, nullptr),

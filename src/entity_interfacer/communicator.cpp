@@ -336,7 +336,7 @@ void Communicator::stopThread() {
         if (end_stop_thread_) {
             dispatchStop(StopSignal::Cause::Shutdown);
             // Really: a laboratory's time may stand.
-            const SteadyClock real;
+            const SteadyClock real{};
             level_.waitUntil(real, real.now() + kLastWords, [this] { return !level_.inside(); });
             if (owed_) callStop(*owed_);
             this_thread_of = nullptr;

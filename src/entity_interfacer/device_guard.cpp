@@ -181,7 +181,7 @@ class Guard {
         [[maybe_unused]] const auto written = ::write(device_, stop_.data(), stop_.size());
     }
 
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     Page& page_;
     const int control_;
     const std::string& stop_;
@@ -382,7 +382,7 @@ class DeviceGuard::Desk {
 
     // Constant after construction.
     const Options options_;
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     Page* page_ = nullptr;
     std::string when_silent_, when_gone_;
 

@@ -343,7 +343,7 @@ class Server::Parts {
 
     const std::shared_ptr<const Clock> time = clockFromEnvironment();
     const Clock& clock = *time;
-    const SteadyClock steady;  // of what peers cost, also where the laboratory's time stands
+    const SteadyClock steady{};  // of what peers cost, also where the laboratory's time stands
     transport::ConnectionLimits limits{steady, note};
     SystemRandom random;
     LoginDesk logins;

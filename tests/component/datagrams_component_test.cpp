@@ -80,7 +80,7 @@ class Relay {
                 its_way ? back_.send(manager_, its_bytes) : front_.send(client_, its_bytes);
         }
     }
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     const Endpoint manager_;
     const unsigned loss_percent_;
     std::mutex mutex_;

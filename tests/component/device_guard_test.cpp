@@ -132,7 +132,7 @@ class DeviceGuardTest : public ::testing::Test {
     }
     /// How long until the stop arrives at the device.
     std::optional<Duration> stopped() {
-        const SteadyClock clock;
+        const SteadyClock clock{};
         const auto begin = clock.now();
         std::string all;
         if (!waitUntil([&] { return (all += heard()).find(kStop) != std::string::npos; }))
@@ -149,7 +149,7 @@ class DeviceGuardTest : public ::testing::Test {
 
 TEST_F(DeviceGuardTest, AnApplicationThatBeatsIsLeftAlone) {
     start();
-    const SteadyClock clock;
+    const SteadyClock clock{};
     const auto end = clock.now() + 5 * kSilence;
     bool good = true;
     EXPECT_TRUE(waitUntil([&] {

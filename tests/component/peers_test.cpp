@@ -69,7 +69,7 @@ class Peer final : public entity_manager::ServerEvents, public std::enable_share
   private:
     asio::strand<asio::io_context::executor_type> strand_;
     const std::string name_;
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     Registration registration_;
     std::unique_ptr<EntityCommunicator> way_;
 };

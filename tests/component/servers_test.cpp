@@ -403,7 +403,8 @@ TEST_F(ServerUsers, TheRoleTravelsFromTheLogInToTheEntity) {
         ASSERT_TRUE(waitUntil([&] { return robot.messages_received > before; }));
         EXPECT_EQ(robot.last_role.load(), role);
         client->stop(kFirst);
-        EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested " + std::string(user)); }));
+        EXPECT_TRUE(waitUntil(
+            [&, name = std::string(user)] { return robot.log.has("signal stop requested " + name); }));
     }
 }
 

@@ -144,7 +144,8 @@ void checkSignalLane(Report& report, Station& station) {
     }
     const auto all = station.entities();
     for (const auto& [id, measured] : times) {
-        const auto entity = std::find_if(all.begin(), all.end(), [&](const Entity& e) { return e.id == id; });
+        const auto entity =
+            std::find_if(all.begin(), all.end(), [&id = id](const Entity& e) { return e.id == id; });
         const auto name = entity == all.end() ? id : callName(*entity, all);
         if (measured.never() > 0) {
             report.bad(

@@ -74,8 +74,8 @@ int drill(Session& session) {
     const auto entities = session.station->entities();
     bool arrived = !all.empty();
     for (const auto& [id, one] : all) {
-        const auto entity =
-            std::find_if(entities.begin(), entities.end(), [&](const Entity& e) { return e.id == id; });
+        const auto entity = std::find_if(entities.begin(), entities.end(),
+                                         [&id = id](const Entity& e) { return e.id == id; });
         session.events.emit({{"event", "drill"},
                              {"id", id},
                              {"entity", entity == entities.end() ? one.name : callName(*entity, entities)},

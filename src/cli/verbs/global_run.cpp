@@ -279,7 +279,11 @@ class RunFollower {
             cancel();
             return kInterrupted;
         }
-        return refuse(session_, {RefusalCode::TimedOut, "nothing was heard of the run", {}});
+        const Refusal silent{RefusalCode::TimedOut, "nothing was heard of the run", {}};
+        auto event = errorEvent(silent);
+        event["fix"] = "see how it stands: axon global history " + shellWord(run_.substr(0, 8));
+        session_.events.emit(std::move(event));
+        return exitOf(silent);
     }
 
   private:
@@ -364,17 +368,19 @@ int perform(Session& session, bool check_only) {
         }
     }
     const auto started = Clock::now();
-    const auto run =
-        session.station->runGlobal(service.value(), cast.players(), cast.master(), check_only,
-                                   [mailbox = session.mailbox](const RunReport& report) {
-                                       auto event = toJson(report);
-                                       event["exit"] = exitOf(report.state, report.reason);
-                                       if (!report.reason.ok()) {
-                                           const auto error = errorEvent(report.reason);
-                                           if (error.contains("fix")) event["fix"] = error["fix"];
-                                       }
-                                       mailbox->post(std::move(event), !client::isFinal(report.state));
-                                   });
+    const auto run = session.station->runGlobal(
+        service.value(), cast.players(), cast.master(), check_only,
+        [mailbox = session.mailbox](const RunReport& report) {
+            auto event = toJson(report);
+            event["exit"] = exitOf(report.state, report.reason);
+            if (!report.reason.ok()) {
+                // A remedy that names an entity has none to name here.
+                const auto fix = remedyFor(report.reason.code, {}, {});
+                if (!fix.empty() && fix == remedyFor(report.reason.code, "ENTITY", "its holder"))
+                    event["fix"] = fix;
+            }
+            mailbox->post(std::move(event), !client::isFinal(report.state));
+        });
     if (!run) return refuseGlobal(session, run.refusal());
     RunFollower follower(session, run.value(), cast.ids());
     if (detached) return follower.detach(Clock::now() + std::chrono::seconds(10));

@@ -65,7 +65,7 @@ void checkExposure(Report& report, const std::string& server, const Exposure& ex
         report.bad(
             "connection",
             "plain TCP to " + server +
-                ": anyone on the network between can read passwords and leases, and can stop and command "
+                ": anyone on the network in between can read passwords and leases, and can stop and command "
                 "robots",
             "axon certs makes certificates; then give the server ssl endpoints (docs/reference/tls.md)");
 }

@@ -354,6 +354,7 @@ TEST_F(Verbs, WaitLeavesTheTaskAloneWhenItsTimeIsUpOrItIsInterrupted) {
     ASSERT_EQ(perform("run", args), kDone);
     EXPECT_EQ(perform("wait", {{"for", 0.0}}), kNotConfirmed);
     EXPECT_EQ(seen.last("error")->at("code"), "TIMED_OUT");
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("wait longer"));
     mailbox->interrupt();
     EXPECT_EQ(perform("wait", Json::object()), kInterrupted);
     EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("the task continues"));

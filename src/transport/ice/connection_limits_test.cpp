@@ -87,7 +87,7 @@ class ConnectionLimitsTest : public testing::Test {
         });
     }
 
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     Ice::CommunicatorHolder server_ = makeCommunicator({.name = "server", .lane = Lane::Data});
     Ice::CommunicatorHolder client_ = makeCommunicator({.name = "client", .lane = Lane::Data});
     std::shared_ptr<Ice::ObjectAdapter> adapter_;

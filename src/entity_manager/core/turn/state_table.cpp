@@ -237,7 +237,7 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
         case S::ERR:
             return {RefusalCode::Unavailable,
                     cannot + ": its profiles have errors" + because +
-                        ". Mend the files; they are read again by themselves.",
+                        ". Fix the files; they are read again by themselves.",
                     {}};
         case S::ENVCONN:
             return {RefusalCode::NotConnected, cannot + ": it is not registered with the server yet.", {}};

@@ -40,7 +40,7 @@ class ServerCommunicators {
     Ice::CommunicatorHolder signal_;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter_;  // no endpoints: pushes come over our own connections
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter_;
-    const SteadyClock clock_;
+    const SteadyClock clock_{};
     std::once_flag limited_;
     std::optional<transport::ConnectionLimits> limits_;
 };
