@@ -46,7 +46,7 @@ int coresOfProcess(pid_t process) {
     return ::sched_getaffinity(process, sizeof(set), &set) == 0 ? CPU_COUNT(&set) : 0;
 }
 bool share(pid_t one, pid_t other) {
-    cpu_set_t its, others, both;
+    cpu_set_t its{}, others{}, both{};
     ::sched_getaffinity(one, sizeof(its), &its);
     ::sched_getaffinity(other, sizeof(others), &others);
     CPU_AND(&both, &its, &others);

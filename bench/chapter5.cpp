@@ -427,11 +427,12 @@ Experiment declareChapter5(CLI::App& app) {
         if (peer->name != "axon") names.push_back(peer->name);
     names.emplace_back("none");
     command
-        ->add_option("--with", wish->with,
-                     "Besides Axon relayed: axon-direct (direct paths; in 5.3 and 5.4 to the ten that are "
-                     "measured), axon-robots (direct paths to the callbacks of real Entity Interfacers) and, "
-                     "in 5.1 and 5.2, peers: raw, mosquitto-qos0, mosquitto-qos1, nats; or none "
-                     "[axon-direct,axon-robots,mosquitto-qos0,raw]")
+        ->add_option(
+            "--with", wish->with,
+            "Besides Axon relayed: axon-direct (direct paths; in 5.3 and 5.4 to the ten that are "
+            "measured), axon-robots (through the servers, to the callbacks of real Entity Interfacers) and, "
+            "in 5.1 and 5.2, peers: raw, mosquitto-qos0, mosquitto-qos1, nats; or none "
+            "[axon-direct,axon-robots,mosquitto-qos0,raw]")
         ->delimiter(',')
         ->check(CLI::IsMember(names).description(""))
         ->type_name("SYSTEM,…");

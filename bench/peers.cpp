@@ -558,7 +558,7 @@ Experiment declarePeers(CLI::App& app) {
                     "(60 bytes), data (35,000 bytes), stop (60 bytes; for Axon, one call stops all of "
                     "them).\n\nExamples:\n  axon-bench peers --entities 1,64 --batches 20\n  axon-bench "
                     "peers --only mosquitto-qos0 --of stop --json stop.json\n  axon-bench peers --entities "
-                    "1,8 --of data --beside clientgl2.cfg entitygl2client.cfg\n");
+                    "1,8 --of data --beside client.cfg entitygl2client.cfg\n");
     command
         ->add_option("--entities", wish->sizes,
                      "Numbers of receivers, one run after the other [1,64,256,1024,2048]")

@@ -12,6 +12,7 @@
 #include <stdexcept>
 #include <string_view>
 #include <system_error>
+#include <utility>
 
 namespace axon::bench {
 
@@ -63,12 +64,9 @@ void pin(pid_t thread, const std::vector<int>& cores) {
 /// been moved yet.
 void pinProcess(pid_t process, const std::vector<int>& cores) {
     const auto tasks = fs::path("/proc") / std::to_string(process) / "task";
-    for (std::size_t before = 0, now = 1; now != before;) {
-        const auto threads = numbersIn(tasks);
-        for (const auto thread : threads) pin(thread, cores);
-        before = now;
-        now = threads.size();
-    }
+    for (std::vector<pid_t> before, now = numbersIn(tasks); now != before;
+         before = std::exchange(now, numbersIn(tasks)))
+        for (const auto thread : now) pin(thread, cores);
 }
 
 }  // namespace

@@ -34,6 +34,7 @@ TimePoint OtherServers::onTimer(TimePoint now) {
     auto next = TimePoint::max();
     bool somebody_new = false;
     bool announce = false;
+    std::vector<std::pair<const Kind*, std::vector<std::string>>> left;
     std::vector<std::pair<const Kind*, std::string>> arrived;
     for (auto& group : groups_) {
         const auto& kind = group.kind_;
@@ -43,6 +44,7 @@ TimePoint OtherServers::onTimer(TimePoint now) {
             somebody_new = true;
             if (kind.reach) kind.reach(*news.reachable);
         }
+        if (!news.lost.empty() && kind.left) left.emplace_back(&kind, news.lost);
         for (const auto& name : news.arrived) arrived.emplace_back(&kind, name);
         announce = announce || (kind.waits_for_announcement && !news.arrived.empty());
         next = std::min(next, news.next);
@@ -56,6 +58,7 @@ TimePoint OtherServers::onTimer(TimePoint now) {
         next_announcement_ = now + kAnnounce;
         say_(Lane::Data);
     }
+    for (const auto& [kind, names] : left) kind->left(names);
     for (const auto& [kind, name] : arrived) {
         note_(kind->name + " " + name + " is there");
         if (kind->arrived) kind->arrived(name);

@@ -31,9 +31,12 @@ class OtherServers {
         Neighbours::Timeouts timeouts;
         /// Whom signals are sent to directly from now on.
         std::function<void(const std::vector<ServerAnnouncement>&)> reach = {};
-        /// They fell silent, or started anew. Called before anything is said to anybody.
+        /// They fell silent, or started anew. Called before anything is said to anybody: for what stops
+        /// robots.
         std::function<void(const std::vector<std::string>&)> lost = {};
-        /// It is there, or there again. Called when everything has been said.
+        /// The same news, when everything has been said: for what may take a while.
+        std::function<void(const std::vector<std::string>&)> left = {};
+        /// It is there, or there again. Called when everything has been said, after `left`.
         std::function<void(const std::string&)> arrived = {};
         /// Who has arrived needs the announcement by the topic at once.
         bool waits_for_announcement = false;

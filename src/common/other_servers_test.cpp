@@ -26,6 +26,7 @@ class OtherServersTest : public testing::Test {
             lines.push_back("reach " + std::to_string(servers.size()));
         };
         kind.lost = [all](const auto& names) { all("lost", names); };
+        kind.left = [all](const auto& names) { all("left", names); };
         kind.arrived = [this](const auto& server) { lines.push_back("arrived " + server); };
         kind.waits_for_announcement = waits;
         return kind;
@@ -75,10 +76,10 @@ TEST_F(OtherServersTest, WhatChangedIsAnnouncedWithTheNextBeat) {
     EXPECT_THAT(turn(50ms), ElementsAre("beat"));
 }
 
-TEST_F(OtherServersTest, ALossComesBeforeEverythingElse) {
+TEST_F(OtherServersTest, ALossComesBeforeEverythingElseAndWhatMayTakeAWhileAfterIt) {
     hear(clients, Lane::Signal, "fe1");
     turn();
-    EXPECT_THAT(turn(2s), ElementsAre("lost fe1", "beat", "announce"));
+    EXPECT_THAT(turn(2s), ElementsAre("lost fe1", "beat", "announce", "left fe1"));
     EXPECT_TRUE(clients.lost("fe1"));
 }
 

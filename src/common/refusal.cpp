@@ -38,7 +38,7 @@ std::string remedyFor(RefusalCode code, std::string_view entity, std::string_vie
     auto rest = refusalEntry(code).remedy;
     for (auto brace = rest.find('{'); brace != std::string_view::npos; brace = rest.find('{')) {
         text += rest.substr(0, brace);
-        const auto end = rest.find('}', brace) + 1;
+        const auto end = std::min(rest.find('}', brace), rest.size() - 1) + 1;
         text += rest.substr(brace, end - brace) == "{holder}" ? holder : entity;
         rest.remove_prefix(end);
     }

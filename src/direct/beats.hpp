@@ -27,9 +27,11 @@ inline constexpr Duration kLively = std::chrono::seconds{1};
 inline constexpr Duration kAsks = 2 * kWatchdogBusy;
 /// What is held back waits so long for its mark. The relayed way is slow then, or has lost it.
 inline constexpr Duration kMarkWithin = kWatchdogBusy;
-/// After this many bytes of messages their receiver acknowledges at once instead of with the next beat. An
-/// acknowledgement wakes a thread on both sides, and the sender keeps at least eight times as much.
-inline constexpr std::size_t kAcknowledgeAfter = 1024 * 1024;
+/// After this many bytes or messages their receiver acknowledges at once instead of with the next beat. Rare,
+/// because an acknowledgement wakes a thread on both sides; and not too rare, because a client keeps 24 MiB
+/// and 12288 messages for all its paths together, of which it has up to 64.
+inline constexpr std::size_t kAcknowledgeAfter = 256 * 1024;
+inline constexpr std::size_t kAcknowledgeAfterMessages = 128;
 
 /// How long the other end of a path has been silent. Threads: any; no lock, so that a beat never waits.
 class Silence {
@@ -79,13 +81,16 @@ class Unacknowledged {
     /// Whether it is time to acknowledge.
     bool add(std::size_t bytes) {
         bytes_ += bytes;
-        if (bytes_ < kAcknowledgeAfter) return false;
+        ++messages_;
+        if (bytes_ < kAcknowledgeAfter && messages_ < kAcknowledgeAfterMessages) return false;
         bytes_ = 0;
+        messages_ = 0;
         return true;
     }
 
   private:
     std::size_t bytes_ = 0;
+    std::size_t messages_ = 0;
 };
 
 }  // namespace axon::direct

@@ -37,12 +37,15 @@ TEST(Retry, BeginsAnewAfterAPathThatStoodAndOnlyThen) {
     EXPECT_EQ(retry.after(0s), 2s);
 }
 
-TEST(Unacknowledged, AsksForAnAcknowledgementAfterEachMiB) {
+TEST(Unacknowledged, AsksForAnAcknowledgementAfterSomeBytesOrMessages) {
     Unacknowledged bytes;
-    EXPECT_FALSE(bytes.add((1U << 20U) - 1));
+    EXPECT_FALSE(bytes.add(kAcknowledgeAfter - 1));
     EXPECT_TRUE(bytes.add(1));
-    EXPECT_FALSE(bytes.add((1U << 20U) - 1));
-    EXPECT_TRUE(bytes.add(1U << 20U));
+    EXPECT_FALSE(bytes.add(kAcknowledgeAfter - 1));
+    EXPECT_TRUE(bytes.add(kAcknowledgeAfter));
+    for (std::size_t i = 1; i < kAcknowledgeAfterMessages; ++i) EXPECT_FALSE(bytes.add(60));
+    EXPECT_TRUE(bytes.add(60));
+    EXPECT_FALSE(bytes.add(60)) << "it counts anew";
 }
 
 }  // namespace

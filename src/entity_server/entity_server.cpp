@@ -34,10 +34,15 @@ struct EntityServer::Parts {
         publisher->wake();  // for what was left before it could be woken
     }
 
-    void end() {
+    ~Parts() { endThreads(); }
+
+    /// Each of the two threads wakes the other one, so both end before either is destroyed.
+    void endThreads() {
         rim.end();
-        publisher_ready = nullptr;
-        publisher.reset();
+        publisher->end();
+    }
+    void end() {
+        endThreads();
         if (rim.isOneOfSeveral()) topic.end();
     }
 
@@ -45,7 +50,7 @@ struct EntityServer::Parts {
     EntityServerCore core;
     std::atomic<transport::TimerThread*> publisher_ready{nullptr};
     std::unique_ptr<transport::TimerThread> publisher;
-    transport::ServerRim<EntitySessions> rim;  // destroyed first: its timer wakes the publisher
+    transport::ServerRim<EntitySessions> rim;
 };
 
 EntityServer::EntityServer(const EntityServerSettings& settings,

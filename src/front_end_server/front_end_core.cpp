@@ -60,7 +60,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       entity_servers_(others_.add({.name = "entity server",
                                    .timeouts = settings.entity_servers,
                                    .reach = [this](const auto& servers) { topic_.reach(servers); },
-                                   .lost = [this](const auto& names) { serversLost(names); },
+                                   .left = [this](const auto& names) { serversLost(names); },
                                    .arrived = [this](const auto& name) { serverArrived(name); }})) {}
 
 FrontEndCore::~FrontEndCore() = default;

@@ -36,10 +36,9 @@ class Word {
 
 std::string firstWord(std::string_view line) {
     line.remove_prefix(std::min(line.find_first_not_of(" \t"), line.size()));
-    std::string word;
-    for (const unsigned char c : line.substr(0, std::min<std::size_t>(line.find_first_of(" \t\r"), 80)))
-        word += c >= 0x20 && c < 0x7F ? static_cast<char>(c) : '?';
-    return word;
+    // What follows another character may be a password.
+    constexpr auto kOfKeys = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-";
+    return std::string(line.substr(0, std::min<std::size_t>(line.find_first_not_of(kOfKeys), 80)));
 }
 
 /// None for a line without a setting, which is blank or a comment. Without a key when it is malformed.

@@ -350,7 +350,6 @@ void EntityManagerCore::stopApplication(Incident& incident) {
 }
 
 void EntityManagerCore::noteStop(const Incident& incident) {
-    if (AXON_PLANTED(StopNotInTheJournal)) return;
     journal_.note({.kind = JournalRecord::Kind::Stopped,
                    .generation = incident.generation,
                    .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
@@ -368,7 +367,7 @@ void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::u
     incident.reason = {
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
     tasks_.applicationStopped();
-    noteStop(incident);
+    if (!AXON_PLANTED(StopNotInTheJournal)) noteStop(incident);
     fire(incident);
     settle();
 }
@@ -432,7 +431,7 @@ void EntityManagerCore::controlTask(const Incident& incident) {
 }
 
 void EntityManagerCore::granted(Incident& granted) {
-    latch_.granted();
+    latch_.granted();  // before anybody is told
     const bool resumed = granted.event == Event::LeaseResumed;
     if (resumed) tasks_.attend();
     fire(granted);

@@ -51,7 +51,8 @@ namespace axon::entity_manager {
 /// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 ///
 /// It finds the row of each event in the state table and passes each action on to whichever part of the state
-/// it is about (actions.def); the parts see each other through Turn and their Others alone.
+/// it is about (actions.def). The parts see each other through Turn and their Others; the core lends some of
+/// them the journal, the readiness, the services and the memory of tasks.
 class EntityManagerCore final : private Turn,
                                 private Ownership::Others,
                                 private Tasks::Others,

@@ -49,6 +49,20 @@ struct Held : testing::Test {
     CoreRig rig;
 };
 
+TEST(Granting, TheStorageHearsOfAHolderBeforeAnybodyIsTold) {
+    CoreRig rig;
+    rig.makeIdle();
+    ASSERT_TRUE(rig.storage.values.contains("free"));
+    int grants = 0;
+    rig.on_client = [&](const CoreRig::ToClientRecord& record) {
+        if (!record.message.check_out().has_lease()) return;
+        ++grants;
+        EXPECT_FALSE(rig.storage.values.contains("free")) << "a life that is cut off now comes up latched";
+    };
+    rig.take("client1", "r1");
+    EXPECT_EQ(grants, 1);
+}
+
 struct NotReady : testing::Test {
     NotReady() {
         rig.core().start();

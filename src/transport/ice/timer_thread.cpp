@@ -19,12 +19,16 @@ TimerThread::TimerThread(std::string name, Lane lane, Duration pause, const Cloc
       thread_([this] { run(); }) {}
 
 TimerThread::~TimerThread() {
+    end();
+}
+
+void TimerThread::end() {
     {
         const std::lock_guard lock(mutex_);
         stopping_ = true;
     }
     changed_.notify_one();
-    thread_.join();
+    if (thread_.joinable()) thread_.join();
 }
 
 void TimerThread::wake() {

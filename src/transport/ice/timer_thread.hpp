@@ -14,7 +14,7 @@ namespace axon::transport {
 /// A thread of a server that lets time pass for its core, or works off what others leave to it. Calls `tick`
 /// at the time that its last call returned and when it is woken, but not more often than once in `pause`.
 /// Of the signal lane, as heartbeats and watchdogs are, it runs under SCHED_RR where permitted. The
-/// destructor joins it.
+/// destructor ends it.
 class TimerThread {
   public:
     TimerThread(std::string name, Lane lane, Duration pause, const Clock& clock,
@@ -25,6 +25,9 @@ class TimerThread {
 
     /// Something is due earlier than was said. Any thread; does not wait.
     void wake();
+    /// Joins the thread: `tick` is not called again. wake() may still be called, and does nothing then. Not
+    /// from `tick`.
+    void end();
 
   private:
     void run();

@@ -86,8 +86,7 @@ class ServerRim {
     }
     /// Joins its thread: the core is given no more time.
     void end() {
-        timer_ready_ = nullptr;
-        timer_.reset();
+        if (timer_) timer_->end();
     }
     /// There is no server of the other kind in this process.
     bool isOneOfSeveral() const { return others_.data != nullptr; }

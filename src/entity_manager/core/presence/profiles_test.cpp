@@ -112,8 +112,7 @@ TEST_F(TheProfiles, AServiceThatIsOffStaysOffWhenTheProfileIsReadAnew) {
     turn.lease.emplace().holder.id = "client";
     profiles.activeIs(off);
     ASSERT_FALSE(turn.told.empty());
-    EXPECT_EQ(turn.told[0].message.service().name(), off.service())
-        << "its holder is told, of composites too";
+    EXPECT_EQ(turn.told[0].message.service().name(), off.service()) << "its holder is told";
     upload(true, test::kRigServicesProfile);
     EXPECT_FALSE(profiler.record(0).is_active());
 

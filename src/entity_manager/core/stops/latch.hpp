@@ -40,7 +40,7 @@ class Latch {
   private:
     Storage& storage_;
     bool set_kept_;   ///< as the storage has it
-    bool free_kept_;  ///< likewise; false before anybody is granted the robot
+    bool free_kept_;  ///< likewise; false from the moment at which somebody is granted the robot
     bool set_;
 };
 

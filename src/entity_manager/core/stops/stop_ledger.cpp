@@ -48,11 +48,6 @@ bool mustRaise([[maybe_unused]] StopCause cause) {
     return !(AXON_PLANTED(ReleaseKeepsGeneration) && cause == StopCause::Released);
 }
 
-/// Whether this answer says that the robot has done as it was told: its stop callback has returned.
-bool confirms(const proto::StopDone& done) {
-    return done.fault().empty() && done.stage() == proto::StopReceipt::CALLBACK_RETURNED;
-}
-
 }  // namespace
 
 StopLedger::StopLedger(Turn& turn, Storage& storage, StopGenerations& stop_generations, BackEndPort& back_end)
@@ -255,7 +250,8 @@ void StopLedger::stopDone(const proto::StopDone& done) {
                                             done.standstill_follows() && open.moving);
         tellStage(open);
     }
-    if (confirms(done)) confirmed_ = std::max(confirmed_, done.stop_generation());
+    if (done.stage() == proto::StopReceipt::CALLBACK_RETURNED)
+        confirmed_ = std::max(confirmed_, done.stop_generation());
 }
 
 bool StopLedger::mayAdvance(const Open& open, const proto::StopDone& done) {

@@ -23,10 +23,9 @@ inline constexpr const char* kGenerationKey =
 /// and who is told so (safety.md, "What a receipt says").
 ///
 /// It owns the strand's stop generation. StopGenerations gives every stop its generation on the signal
-/// thread, which passes the stop on at once; the strand hears of it later, so for a moment StopGenerations is
-/// ahead
-/// (`allHandled()` is false), and the answer of the application may overtake the news. It also owns what is
-/// known of an application that was lost, because that is what a receipt tells when nobody can confirm the
+/// thread, which passes the stop on at once. The strand hears of it later, so for a moment StopGenerations is
+/// ahead (`allHandled()` is false), and the answer of the application may overtake the news. It also owns
+/// what is known of an application that was lost, because a receipt tells that when nobody can confirm the
 /// stop.
 ///
 /// Not here: the latch and what a stop does to tasks and lease, which are rows of the state table.
@@ -112,9 +111,11 @@ class StopLedger {
 
     /// A stop that the signal thread has passed on is still on its way to the strand.
     bool oneIsUnderWay() const { return !allHandled() && !AXON_PLANTED(StopsUnderWayOverlooked); }
-    /// A command whose sender had seen no newer stop than this one came too late.
+    /// A command came too late: its sender, who had seen this generation, had not yet seen a stop that
+    /// counts.
     bool isOutdated(std::uint32_t seen) const;
-    /// Whether this answer takes an open stop a stage further.
+    /// Whether this answer takes an open stop a stage further. Counts one that tells of a standstill too
+    /// early.
     bool mayAdvance(const Open& open, const proto::StopDone& done);
     void handled(std::uint32_t generation, bool own, bool voids);
     void stopDone(const proto::StopDone& done);
