@@ -16,14 +16,14 @@ using testing::IsEmpty;
 class OtherServersTest : public testing::Test {
   protected:
     OtherServers::Kind kind(const std::string& name, bool waits = false) {
-        const auto all = [this, name](const char* what, const auto& names) {
+        const auto all = [this](const char* what, const auto& names) {
             std::string line = what;
             for (const auto& one : names) line += " " + one;
             lines.push_back(line);
         };
         OtherServers::Kind kind{name, {}};
-        kind.reach = [this](const auto& servers) {
-            lines.push_back("reach " + std::to_string(servers.size()));
+        kind.reach = [this](const auto& reached) {
+            lines.push_back("reach " + std::to_string(reached.size()));
         };
         kind.lost = [all](const auto& names) { all("lost", names); };
         kind.left = [all](const auto& names) { all("left", names); };

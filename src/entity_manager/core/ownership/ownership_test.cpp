@@ -16,7 +16,7 @@ using namespace std::chrono_literals;
 
 /// What tasks and profiles would do.
 struct NotingOthers final : Ownership::Others {
-    explicit NotingOthers(test::FakeTurn& turn) : turn(turn) {}
+    explicit NotingOthers(test::FakeTurn& its_turn) : turn(its_turn) {}
     bool finishesAlone() const override { return task_finishes_alone; }
     void loseHolder(Incident& lost) override { turn.fire(lost); }
     void endSpared(const std::string&) override { order.emplace_back("what went on alone ends"); }

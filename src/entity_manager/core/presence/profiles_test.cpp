@@ -15,7 +15,7 @@ using namespace std::chrono_literals;
 
 /// What goes by profiles that are good.
 struct NotingOthers final : Profiles::Others {
-    explicit NotingOthers(test::FakeTurn& turn) : turn(turn) {}
+    explicit NotingOthers(test::FakeTurn& its_turn) : turn(its_turn) {}
     void profilesAreGood(const proto::BasicProfile&) override {
         Incident good{Event::ProfilesGood};
         turn.fire(good);
