@@ -251,7 +251,7 @@ TEST_F(Tls, WithUsersTheCertificateStandsForThePasswordOfItsUser) {
     auto as_another = options(server, clientCertificate());
     as_another.user = "client2";
     as_another.password = "secret2";
-    EXPECT_THAT(refusalOf(as_another).message, HasSubstr("the user 'client1's"));
+    EXPECT_THAT(refusalOf(as_another).message, HasSubstr("belongs to the user 'client1'"));
     EXPECT_THAT(refusalOf(options(server, clientCertificate("client3"))).message,
                 HasSubstr("no user 'client3'"));
     EXPECT_TRUE(logged("failed log-in of 'client3'")) << kLog->all();
