@@ -335,7 +335,9 @@ Json usageEvent(const std::string& message, const std::string& fix) {
 Json noServerEvent(const Refusal& refusal, const std::string& server) {
     Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
     if (json["message"].get_ref<const std::string&>().empty()) json["message"] = "no server at " + server;
-    if (refusal.code != RefusalCode::PermissionDenied && refusal.code != RefusalCode::Malformed) {
+    // A server that has answered says the remedy itself.
+    if (refusal.code != RefusalCode::PermissionDenied && refusal.code != RefusalCode::Malformed &&
+        refusal.code != RefusalCode::NotSupported) {
         json["fix"] = server.find("/router:") == std::string::npos
                           ? "start a server with axon-server, or give the address of another one with "
                             "--server HOST:PORT (or AXON_SERVER)"

@@ -264,7 +264,7 @@ class HostileTest(unittest.TestCase):
         ours = CommUtil.ContractNumber
         env = {**self.lab.env, "AXON_USER": "ann", "AXON_PASSWORD": "word of ann"}
         for number, upgrade in ((ours - 1, "that program"), (ours + 1, "the server"), (ours, None)):
-            said = f"this server has contract {ours}, the program that opens the session has contract {number}: upgrade {upgrade}"
+            said = f"this server has contract {ours}, the program that opens the session has contract {number}; fix: upgrade {upgrade}"
             with self.subTest(number=number, by="client"):
                 done = subprocess.run([self.lab.bin / "axon", "--server", self.relay_of_edition(self.lab.at["client"], number), "ls"],
                                       env=env, capture_output=True, text=True, timeout=30, check=False)
