@@ -39,8 +39,12 @@ std::string fixFor(const Session& session, const Refusal& refusal, const std::st
 }  // namespace
 
 int refuse(Session& session, const Refusal& refusal, const std::string& entity) {
+    return refuseWith(session, refusal, fixFor(session, refusal, entity), entity);
+}
+
+int refuseWith(Session& session, const Refusal& refusal, const std::string& fix, const std::string& entity) {
     auto event = errorEvent(refusal, entity);
-    if (const auto fix = fixFor(session, refusal, entity); !fix.empty()) event["fix"] = fix;
+    if (!fix.empty()) event["fix"] = fix;
     session.events.emit(event);
     return exitOf(refusal);
 }

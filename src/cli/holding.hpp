@@ -10,6 +10,9 @@ namespace axon::cli {
 
 /// Emits the error, and gives the exit status that goes with it.
 int refuse(Session& session, const Refusal& refusal, const std::string& entity = {});
+/// With this remedy instead of that of the code, unless it is empty.
+int refuseWith(Session& session, const Refusal& refusal, const std::string& fix,
+               const std::string& entity = {});
 int misused(Session& session, const std::string& message, const std::string& fix = {});
 
 /// An entity that is held for as long as this lives: the check-out that is kept anyway, or one of its own,

@@ -272,7 +272,7 @@ class Server::Parts {
             its.limits = &limits;
             its.here = both ? &clients_here : nullptr;
             its.topic_signals = signal.communicator();  // stops
-            entity.emplace(std::move(its), data.communicator(), receipts.communicator(), clock, random, note);
+            entity.emplace(its, data.communicator(), receipts.communicator(), clock, random, note);
         }
         if (settings.role != ServerRole::Entity) {
             auto its = frontEndSettings(settings);
@@ -284,8 +284,7 @@ class Server::Parts {
             }
             its.here = both ? &entities_here : nullptr;
             its.topic_signals = receipts.communicator();
-            front_end.emplace(std::move(its), data.communicator(), signal.communicator(), clock, random,
-                              note);
+            front_end.emplace(its, data.communicator(), signal.communicator(), clock, random, note);
         }
         if (both) {
             clients_here.set(front_end->core());

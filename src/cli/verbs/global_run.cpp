@@ -75,14 +75,12 @@ class Cast {
             std::all_of(proposal->roles.begin(), proposal->roles.end(),
                         [&](const auto& outlook) { return chosen.count(outlook.role) != 0; });
         if (!proposal->complete() && !all_named) {
-            auto event = errorEvent(proposal->why);
-            event["fix"] =
+            auto fix =
                 "axon global info " + shellWord(service.name) + " shows which robots can play its roles" +
                 (proposal->why.code == RefusalCode::AlreadyHeld ? "; --wait waits for what others hold" : "");
             if (const auto stopped = stoppedOnes(proposal.value()); !stopped.empty())
-                event["fix"] = remedyFor(RefusalCode::Latched, stopped.substr(1), {});
-            session_.events.emit(event);
-            return exitOf(proposal->why);
+                fix = remedyFor(RefusalCode::Latched, stopped.substr(1), {});
+            return refuseWith(session_, proposal->why, fix);
         }
         for (auto& outlook : proposal->roles) {
             if (outlook.entity.empty()) {
@@ -279,11 +277,8 @@ class RunFollower {
             cancel();
             return kInterrupted;
         }
-        const Refusal silent{RefusalCode::TimedOut, "nothing was heard of the run", {}};
-        auto event = errorEvent(silent);
-        event["fix"] = "see how it stands: axon global history " + shellWord(run_.substr(0, 8));
-        session_.events.emit(std::move(event));
-        return exitOf(silent);
+        return refuseWith(session_, {RefusalCode::TimedOut, "nothing was heard of the run", {}},
+                          "see how it stands: axon global history " + shellWord(run_.substr(0, 8)));
     }
 
   private:
@@ -373,12 +368,10 @@ int perform(Session& session, bool check_only) {
         [mailbox = session.mailbox](const RunReport& report) {
             auto event = toJson(report);
             event["exit"] = exitOf(report.state, report.reason);
-            if (!report.reason.ok()) {
-                // A remedy that names an entity has none to name here.
-                const auto fix = remedyFor(report.reason.code, {}, {});
-                if (!fix.empty() && fix == remedyFor(report.reason.code, "ENTITY", "its holder"))
-                    event["fix"] = fix;
-            }
+            // A remedy that names an entity has none to name here.
+            if (const auto fix = refusalEntry(report.reason.code).remedy;
+                !report.reason.ok() && !fix.empty() && fix.find('{') == std::string_view::npos)
+                event["fix"] = fix;
             mailbox->post(std::move(event), !client::isFinal(report.state));
         });
     if (!run) return refuseGlobal(session, run.refusal());

@@ -249,14 +249,12 @@ int waitForTasks(Session& session) {
                 session.events.emit({{"event", "notice"}, {"message", go_on + ": axon tasks shows more"}});
                 return kInterrupted;
             }
-            const Refusal late{RefusalCode::TimedOut,
+            return refuseWith(session,
+                              {RefusalCode::TimedOut,
                                std::to_string(open()) + " of " + std::to_string(exits.size()) +
                                    " tasks had not ended when the time of --for was up; " + go_on,
-                               {}};
-            auto told = errorEvent(late);
-            told["fix"] = "wait longer: axon wait; or look at the tasks: axon tasks";
-            session.events.emit(std::move(told));
-            return exitOf(late);
+                               {}},
+                              "wait longer: axon wait; or look at the tasks: axon tasks");
         }
         if (event->at("event") != "task" || exits.count(event->at("id")) != 0) show(*event);
     }
