@@ -106,7 +106,7 @@ class StreamThread::Loop {
             if (got > 0)
                 session_.receive(std::span(chunk).first(static_cast<std::size_t>(got)), clock_->now());
             if (got < 0) session_.end(peer_ + " closed the connection");
-            if (broken_) session_.end("the connection to " + peer_ + " does not take any more bytes");
+            if (broken_) session_.end("the connection to " + peer_ + " takes no more bytes");
             session_.tick(clock_->now());
         }
         session_.end("the program ends");

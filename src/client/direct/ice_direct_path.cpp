@@ -89,7 +89,7 @@ IceDirectPath::IceDirectPath(const LaneHome& data, const LaneHome& signal, Direc
 
 IceDirectPath::~IceDirectPath() {
     for (const auto& connection : connections_)
-        connection->disconnect({false, "it is of no use any more"}, false);
+        connection->disconnect({false, "it is no longer needed"}, false);
 }
 
 void IceDirectPath::open(Duration timeout) {
