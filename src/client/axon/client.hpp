@@ -51,7 +51,7 @@ struct Options {
     std::function<bool()> keep_running;
 };
 
-/// Returns `options` with the settings of a configuration file applied. The file has one KEY=VALUE per line.
+/// Returns `options` with the settings of a configuration file applied (docs/reference/settings_files.md).
 /// The keys are Axon.Server or Ice.Default.Router, Axon.User, Axon.Password, and any property Ice.* or
 /// IceSSL.* (docs/reference/routers.md). Refused with MALFORMED if the file cannot be read or understood, and
 /// with PERMISSION_DENIED if it holds a password and others may read it. The message says how to fix it.
