@@ -106,7 +106,7 @@ Communicator::Communicator(EntityInterfacer::Options options)
     } else {
         const auto file = readPorts(options_.ports_file);
         if (!file) misconfigured(file.refusal().message);
-        where_ = *file;
+        where_ = file.value();
     }
     in_addr parsed{};
     if (inet_pton(AF_INET, where_.address.c_str(), &parsed) != 1)
