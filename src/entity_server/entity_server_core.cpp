@@ -2,7 +2,6 @@
 #include "entity_server/entity_server_core.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <optional>
 #include <unordered_set>
 #include <utility>
@@ -51,6 +50,7 @@ class EntityServerCore::Session {
     // Written once, before `registered` is; read by others only after it.
     std::shared_ptr<EntityOutbox> signal;
     std::string entity;
+    std::shared_ptr<Drills::Subject> drill;
     std::atomic<bool> registered{false};
 
     Snapshot<std::string> name;    // of its newest registration
@@ -59,10 +59,6 @@ class EntityServerCore::Session {
     RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond},
         lines{kLinesPerSecond};
     LifeSigns signs;  // written without a lock
-    // The drill that is out, 0 = none; when it was sent and how long it took, written without a lock.
-    std::atomic<std::uint64_t> drill{0};
-    std::atomic<Duration::rep> drill_sent{0};
-    std::atomic<Duration::rep> drill_took{0};
 
     // Guarded by the core's mutex.
     RecordRef record;
@@ -72,7 +68,6 @@ class EntityServerCore::Session {
     std::int64_t heartbeats = 0;
     TimePoint fed;  // the last sign of life that the watchdog was told
     TimePoint warn_again;
-    std::int32_t stop_latency_us = 0;
     std::size_t lines_left_out = 0;
     Pace pace{kPublishedPerSecond};
     bool gone = false;
@@ -233,8 +228,7 @@ EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Cloc
                                    .reach = [this](const auto& servers) { topic_.reachPeers(servers); },
                                    .lost = [this](const auto& names) { entityServersLost(names); },
                                    .waits_for_announcement = true})),
-      drill_(settings.drill_period > Duration{} ? "drill-" + Id128::random(random).toString() + "-"
-                                                : std::string()),
+      drills_({settings.drill_period, settings.drill_answer}, clock, random),
       slow_lines_(kLinesPerSecond) {}
 
 EntityServerCore::~EntityServerCore() = default;
@@ -316,6 +310,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                                                            " entities; raise EntityServer.EntitiesMax");
             }
             session->entity = registration.entity;
+            session->drill = std::make_shared<Drills::Subject>(session->entity);
         }
         session->name.store(std::make_shared<const std::string>(registration.name));
         auto record =
@@ -338,6 +333,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
             session->registered = true;
             others_.announceSoon();
             registered_.emplace(session->entity, session);
+            drills_.join(session->drill);
             table_.put(session->entity, session);
             session->next_heartbeat = session->beatInTurn(now);
         }
@@ -393,7 +389,9 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         session->listen();
         session->watchdog->setBusy(busy, now);
         session->signs.allow(session->watchdog->timeout(), now);
-        status.stop_latency_us = session->stop_latency_us;
+        status.stop_latency_us = session->drill->stopLatencyUs();
+        Drills::setReady(*session->drill, !status.latched && status.state != EntityState::UNAV &&
+                                              status.state != EntityState::INIT);
         auto record = std::make_shared<Record>(*session->record);
         record->status = std::move(status);
         record->heard = true;
@@ -439,7 +437,10 @@ bool EntityServerCore::tooMuchSignal(Session& session, std::string_view message)
 void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header head,
                                     std::string_view message) {
     if (!session->registered || flooded(session)) return;
-    if (isDrill(head)) return drillAnswered(session, head);
+    if (drills_.isDrill(head)) {
+        if (drills_.answer(*session->drill, head)) wake_();
+        return;
+    }
     head.entity = session->entity;
     if (lane == Lane::Signal && tooMuchSignal(*session, message))
         return session->outbox(lane).newRefusalMsg(head, tooMuchOnSignalLane());
@@ -509,6 +510,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
             countBusy(session->record->status, {}, clock_.now());
             others_.announceSoon();
             registered_.erase(session->entity);
+            drills_.leave(session->drill);
             table_.erase(session->entity);
         }
     }
@@ -807,104 +809,40 @@ TimePoint EntityServerCore::onTimer() {
     }
     next = std::min(next, others_.onTimer(clock_.now()));
     for (const auto& warning : warnings) note_(warning);
-    return drill_.empty() ? next : std::min(next, onDrillTimer());
-}
-
-bool EntityServerCore::isDrill(const Header& head) const {
-    return !drill_.empty() && head.sender.id.starts_with(drill_);
-}
-
-// Of its receipts only the last has a routing key of its own: the Entity Interfacer has acknowledged. Without
-// the registry's lock, as this is the way of every stop's receipt.
-void EntityServerCore::drillAnswered(const SessionRef& session, const Header& head) {
-    if (head.msg_type != kMsgDrill) return;
-    std::uint64_t number = 0;
-    std::from_chars(head.sender.id.data() + drill_.size(), head.sender.id.data() + head.sender.id.size(),
-                    number);
-    if (number == 0 || number != session->drill || session->drill_took != 0) return;  // too late, or twice
-    const auto took = clock_.now().time_since_epoch().count() - session->drill_sent;
-    session->drill_took = std::max<Duration::rep>(took, 1);
-    wake_();
-}
-
-/// Under the registry's mutex: takes what was answered, and gives up what is late.
-void EntityServerCore::settleDrills(TimePoint now, std::vector<std::string>& changed,
-                                    std::vector<std::string>& lines) {
-    std::erase_if(drills_, [&](const Drill& drill) {
-        const auto session = drill.session.lock();
-        if (!session || session->gone) return true;
-        const Duration took{session->drill_took.load()};
-        if (took == Duration{} && now < drill.answer_by) return false;
-        session->drill = 0;
-        if (took == Duration{}) {
-            lines.push_back(
-                *session->name.load() + " has not answered a drill within " +
-                std::to_string(
-                    std::chrono::duration_cast<std::chrono::milliseconds>(settings_.drill_answer).count()) +
-                " ms: how long a stop takes there is unknown");
-        }
-        // 0 says unknown, so what took less than a microsecond took one.
-        const auto us = took == Duration{}
-                            ? 0
-                            : std::max<std::int64_t>(
-                                  std::chrono::duration_cast<std::chrono::microseconds>(took).count(), 1);
-        if (std::exchange(session->stop_latency_us, static_cast<std::int32_t>(us)) == us) return true;
-        auto record = std::make_shared<Record>(*session->record);
-        record->status.stop_latency_us = session->stop_latency_us;
-        session->record = std::move(record);
-        changed.push_back(session->entity);
-        return true;
-    });
-}
-
-/// Under the registry's mutex: whose turn it is, null where a drill would tell nothing or disturb.
-EntityServerCore::SessionRef EntityServerCore::nextDrill(TimePoint now) {
-    if (drill_round_.empty()) {
-        for (const auto& [entity, session] : registered_) drill_round_.push_back(session);
-        if (drill_round_.empty()) return nullptr;
-    }
-    auto session = drill_round_.front().lock();
-    drill_round_.pop_front();
-    if (!session || session->gone || session->drill != 0) return nullptr;
-    const auto& status = session->record->status;
-    if (status.latched || status.state == EntityState::UNAV || status.state == EntityState::INIT)
-        return nullptr;
-    session->drill_took = 0;
-    session->drill = ++drills_given_;
-    drills_.push_back({now + settings_.drill_answer, session});
-    return session;
+    return drills_.on() ? std::min(next, onDrillTimer()) : next;
 }
 
 TimePoint EntityServerCore::onDrillTimer() {
     std::vector<std::string> changed;
     std::vector<std::string> lines;
-    std::vector<SessionRef> orders;
+    std::vector<std::pair<SessionRef, Drills::Order>> orders;
     TimePoint next;
     {
         const std::lock_guard lock(mutex_);
-        const auto now = clock_.now();
-        settleDrills(now, changed, lines);
-        const auto step =
-            settings_.drill_period / static_cast<int>(std::max<std::size_t>(registered_.size(), 1));
-        // After a pause one turn is enough; a burst would measure itself.
-        if (next_drill_ + settings_.drill_period <= now) next_drill_ = now + step;
-        for (; next_drill_ <= now; next_drill_ += std::max(step, Duration{1})) {
-            if (auto session = nextDrill(now)) orders.push_back(std::move(session));
+        for (const auto& done : drills_.settle()) {
+            const auto& session = registered_.find(done.of->entity())->second;
+            if (!done.answered) {
+                lines.push_back(*session->name.load() + " has not answered a drill within " +
+                                std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(
+                                                   settings_.drill_answer)
+                                                   .count()) +
+                                " ms: how long a stop takes there is unknown");
+            }
+            if (!done.changed) continue;
+            auto record = std::make_shared<Record>(*session->record);
+            record->status.stop_latency_us = done.of->stopLatencyUs();
+            session->record = std::move(record);
+            changed.push_back(session->entity);
         }
-        next = next_drill_;
-        for (const auto& drill : drills_) next = std::min(next, drill.answer_by);
+        for (auto& order : drills_.next()) {
+            const auto& session = registered_.find(order.to->entity())->second;
+            orders.emplace_back(session, std::move(order));
+        }
+        next = drills_.nextDeadline();
     }
-    for (const auto& session : orders) {
-        Header head;
-        const auto number = session->drill.load();
-        head.sender = {drill_ + std::to_string(number), "the entity server", Role::Operator};
-        head.entity = session->entity;
-        head.msg_type = kMsgDrill;
-        head.sequence = static_cast<std::int64_t>(number);
-        const auto now = clock_.now();
-        head.sent_at_us = toMicroseconds(now);
-        session->drill_sent = now.time_since_epoch().count();
-        session->signal->stopSignal(head, StopCause::Drill);
+    for (auto& [session, order] : orders) {
+        drills_.begin(order);
+        session->signal->stopSignal(order.head, StopCause::Drill);
     }
     for (const auto& line : lines) note_(line);
     for (const auto& entity : changed) leaveToPublisher(entity);
@@ -918,8 +856,8 @@ std::vector<std::string> EntityServerCore::margins() const {
     const auto now = clock_.now();
     for (const auto& [entity, session] : registered_) {
         lines.push_back(*session->name.load() + ": " + describe(session->signs.longest(now)) +
-                        (session->stop_latency_us > 0
-                             ? "; a stop takes " + std::to_string(session->stop_latency_us) + " us"
+                        (session->drill->stopLatencyUs() > 0
+                             ? "; a stop takes " + std::to_string(session->drill->stopLatencyUs()) + " us"
                              : ""));
     }
     return lines;

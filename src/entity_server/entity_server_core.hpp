@@ -19,7 +19,8 @@
 #include "common/routed.hpp"
 #include "common/snapshot_table.hpp"
 #include "common/watchdog.hpp"
-#include "entity_server/ports.hpp"
+#include "entity_server/drills/drills.hpp"
+#include "entity_server/ports/ports.hpp"
 
 namespace axon::entity_server {
 
@@ -151,10 +152,6 @@ class EntityServerCore {
         std::string server;
     };
     using ElsewhereRef = std::shared_ptr<const Elsewhere>;
-    struct Drill {
-        TimePoint answer_by;
-        std::weak_ptr<Session> session;
-    };
     struct Due {
         TimePoint at;
         std::uint64_t revision;
@@ -184,10 +181,6 @@ class EntityServerCore {
     static bool tellsProfile(const RecordRef& before, const RecordRef& now, bool again);
     bool isPaced(Session& session, bool again);
     bool endPauses(TimePoint now);
-    bool isDrill(const Header& head) const;
-    void drillAnswered(const SessionRef& session, const Header& head);
-    void settleDrills(TimePoint now, std::vector<std::string>& changed, std::vector<std::string>& lines);
-    SessionRef nextDrill(TimePoint now);
     TimePoint onDrillTimer();
     void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now, bool again);
     bool alone() const { return settings_.name.empty(); }
@@ -210,11 +203,11 @@ class EntityServerCore {
     OtherServers others_;
     OtherServers::Group& front_ends_;
     OtherServers::Group& entity_servers_;
-    const std::string drill_;  // what the sender ids of drills begin with; nobody else's do
 
     SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
     SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane
 
+    Drills drills_;         // guarded by mutex_, but for what an answer needs
     RateLimit slow_lines_;  // of the log, about who reads slowly
     // Confined to whoever publishes:
     std::int64_t publications_ = 0;
@@ -242,10 +235,6 @@ class EntityServerCore {
     // entity server → those of elsewhere_ that it has, or had before another one said that it has them
     std::unordered_map<std::string, std::vector<std::string>> entities_of_;
     bool publishing_ = false;
-    TimePoint next_drill_;
-    std::deque<std::weak_ptr<Session>> drill_round_;  // those whose turn is still to come
-    std::vector<Drill> drills_;                       // unanswered; at most one for each entity
-    std::uint64_t drills_given_ = 0;
 };
 
 }  // namespace axon::entity_server
