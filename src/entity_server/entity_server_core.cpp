@@ -2,13 +2,11 @@
 #include "entity_server/entity_server_core.hpp"
 
 #include <algorithm>
-#include <optional>
 #include <unordered_set>
 #include <utility>
 
 #include "common/entity_name.hpp"
 #include "common/life_signs.hpp"
-#include "common/pace.hpp"
 #include "common/queue_share.hpp"
 #include "common/rights.hpp"
 #include "common/snapshot.hpp"
@@ -25,10 +23,7 @@ constexpr std::uint32_t kPeerBytesPerSecond = 8 * 1024 * 1024U;
 // Of one entity for anybody on a signal lane, which stops share: beats and ends of runs, receipts, refusals.
 constexpr std::size_t kSignalBytes = 16 * 1024U;
 constexpr std::uint32_t kSignalBytesPerSecond = 1024 * 1024U;
-constexpr std::size_t kSignalOverhead = 64;  // of each
-// What every client is told of one entity: each status, and each begun 16 KiB of a profile, counts once.
-constexpr std::uint32_t kPublishedPerSecond = 200;
-constexpr std::size_t kProfileStep = 16 * 1024U;
+constexpr std::size_t kSignalOverhead = 64;    // of each
 constexpr std::uint32_t kLinesPerSecond = 20;  // of the log, about one entity
 
 }  // namespace
@@ -69,7 +64,6 @@ class EntityServerCore::Session {
     TimePoint fed;  // the last sign of life that the watchdog was told
     TimePoint warn_again;
     std::size_t lines_left_out = 0;
-    Pace pace{kPublishedPerSecond};
     bool gone = false;
 
     EntityOutbox& outbox(Lane lane) const { return lane == Lane::Signal ? *signal : *data; }
@@ -228,6 +222,7 @@ EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Cloc
                                    .reach = [this](const auto& servers) { topic_.reachPeers(servers); },
                                    .lost = [this](const auto& names) { entityServersLost(names); },
                                    .waits_for_announcement = true})),
+      publisher_(others_.self(), clock, topic, note_, wake_),
       drills_({settings.drill_period, settings.drill_answer}, clock, random),
       slow_lines_(kLinesPerSecond) {}
 
@@ -338,9 +333,9 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
             session->next_heartbeat = session->beatInTurn(now);
         }
         schedule(session, std::min(session->next_heartbeat, now + session->period()));
+        publisher_.set(session->record);  // last: from now on others may be told that it is here
     }
     wake_();
-    leaveToPublisher(session->entity);
     publishPending();
     return {};
 }
@@ -396,6 +391,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         record->status = std::move(status);
         record->heard = true;
         session->record = std::move(record);
+        publisher_.set(session->record);
         // The EM's own watchdog is short from now on.
         if (became_busy) heartbeat = ++session->heartbeats;
         if (became_busy || became_idle) {
@@ -408,7 +404,6 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         wake_();
     }
     if (late) loseClient(*session->signal, given);
-    leaveToPublisher(session->entity);
     publishPending();
     if (!line.empty()) note_(line);
 }
@@ -512,12 +507,12 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
             registered_.erase(session->entity);
             drills_.leave(session->drill);
             table_.erase(session->entity);
+            publisher_.left(session->entity);
         }
     }
     session->data->disconnect(orderly, why);
     if (session->signal) session->signal->disconnect(orderly, why);
     if (session->registered) {
-        leaveToPublisher(session->entity);
         pending_();
         note_(*session->name.load() + " left: " + why +
               (lines_left_out > 0
@@ -576,24 +571,15 @@ void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view dat
 
 void EntityServerCore::clientRequest(const Header& head) {
     if (head.msg_type != kMsgStatus) return;
-    if (head.entity.empty() || head.entity == settings_.name) publishAllAgain();
-}
-
-void EntityServerCore::publishAllAgain() {
-    {
-        const std::lock_guard lock(mutex_);
-        for (const auto& [entity, session] : registered_) putInQueue(entity, true);
-        list_due_ = !alone();
-    }
+    if (!head.entity.empty() && head.entity != settings_.name) return;
+    publisher_.again();
     publishPending();
 }
 
 void EntityServerCore::topicFound() {
-    {
-        const std::lock_guard lock(mutex_);
-        announcement_due_ = true;
-    }
-    publishAllAgain();
+    publisher_.announce();
+    publisher_.again();
+    publishPending();
 }
 
 // No lock that a message could hold: this is the signal lane, too.
@@ -659,10 +645,7 @@ void EntityServerCore::announce(Lane lane) {
         topic_.peersUpdate(lane, others_.self(), {});
         return;
     }
-    {
-        const std::lock_guard lock(mutex_);
-        announcement_due_ = true;  // says how much has been published, so it comes after that
-    }
+    publisher_.announce();
     pending_();
 }
 
@@ -766,11 +749,9 @@ TimePoint EntityServerCore::onTimer() {
     std::vector<std::pair<SessionRef, Duration>> silent;
     std::vector<std::string> warnings;
     TimePoint next;
-    bool paced = false;
     {
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
-        paced = endPauses(now);
         while (!due_.empty() && due_.top().at <= now) {
             const auto due = due_.top();
             due_.pop();
@@ -797,9 +778,10 @@ TimePoint EntityServerCore::onTimer() {
             schedule(session, std::min(std::max(session->next_heartbeat, now + std::chrono::milliseconds{1}),
                                        session->watchdog->deadline()));
         }
-        next = std::min(next_paced_, due_.empty() ? now + std::chrono::seconds{1} : due_.top().at);
+        next = due_.empty() ? now + std::chrono::seconds{1} : due_.top().at;
     }
-    if (paced) pending_();
+    if (publisher_.endPauses()) pending_();
+    next = std::min(next, publisher_.nextPause());
     for (const auto& [session, sequence] : heartbeats) session->signal->newHeartbeat(sequence);
     for (const auto& [session, timeout] : silent) {
         leave(session, false,
@@ -813,7 +795,7 @@ TimePoint EntityServerCore::onTimer() {
 }
 
 TimePoint EntityServerCore::onDrillTimer() {
-    std::vector<std::string> changed;
+    bool changed = false;
     std::vector<std::string> lines;
     std::vector<std::pair<SessionRef, Drills::Order>> orders;
     TimePoint next;
@@ -832,7 +814,8 @@ TimePoint EntityServerCore::onDrillTimer() {
             auto record = std::make_shared<Record>(*session->record);
             record->status.stop_latency_us = done.of->stopLatencyUs();
             session->record = std::move(record);
-            changed.push_back(session->entity);
+            publisher_.set(session->record);
+            changed = true;
         }
         for (auto& order : drills_.next()) {
             const auto& session = registered_.find(order.to->entity())->second;
@@ -845,8 +828,7 @@ TimePoint EntityServerCore::onDrillTimer() {
         session->signal->stopSignal(order.head, StopCause::Drill);
     }
     for (const auto& line : lines) note_(line);
-    for (const auto& entity : changed) leaveToPublisher(entity);
-    if (!changed.empty()) pending_();
+    if (changed) pending_();
     return next;
 }
 
@@ -868,161 +850,8 @@ std::size_t EntityServerCore::entities() const {
     return registered_.size();
 }
 
-// Front-end servers are told of levels: what is now, compared with what was told last. One thread publishes
-// at a time, so that they hear of one entity in order though no lock is held while they are told; a thread
-// that finds another one publishing leaves the entity's name behind and goes.
-void EntityServerCore::leaveToPublisher(const std::string& entity) {
-    const std::lock_guard lock(mutex_);
-    putInQueue(entity, false);
-}
-
-/// Under the registry's mutex.
-void EntityServerCore::putInQueue(const std::string& entity, bool again) {
-    const auto [waiting, is_new] = waiting_to_publish_.try_emplace(entity, again);
-    if (is_new) {
-        to_publish_.push_back(entity);
-    } else if (again) {
-        waiting->second = true;
-    }
-}
-
-/// Whether front-end servers are told the profile, and not its status alone.
-bool EntityServerCore::tellsProfile(const RecordRef& before, const RecordRef& now, bool again) {
-    return again || !before || before->session != now->session || now->registration != before->registration ||
-           (now->profile != before->profile && *now->profile != *before->profile);
-}
-
-/// Under the registry's mutex: whether this entity changes faster than all clients are told. It comes again
-/// then, and what is told is what holds by then.
-bool EntityServerCore::isPaced(Session& session, bool again) {
-    const auto now = clock_.now();
-    const auto at = session.pace.next(now);
-    if (at > now) {
-        auto& its = paced_[session.entity];
-        its.again = its.again || again;
-        its.at = at;
-        next_paced_ = std::min(next_paced_, at);
-        return true;
-    }
-    const auto published = published_.find(session.entity);
-    const auto before = published != published_.end() ? published->second : nullptr;
-    const auto profile =
-        tellsProfile(before, session.record, again) ? session.record->profile->size() / kProfileStep : 0;
-    session.pace.take(now, 1 + static_cast<std::uint32_t>(profile));
-    return false;
-}
-
-/// Under the registry's mutex: queues those whose time has come.
-bool EntityServerCore::endPauses(TimePoint now) {
-    if (next_paced_ > now) return false;
-    next_paced_ = TimePoint::max();
-    for (auto its = paced_.begin(); its != paced_.end();) {
-        if (its->second.at > now) {
-            next_paced_ = std::min(next_paced_, its->second.at);
-            ++its;
-            continue;
-        }
-        putInQueue(its->first, its->second.again);
-        its = paced_.erase(its);
-    }
-    return true;
-}
-
 void EntityServerCore::publishPending() {
-    {
-        const std::lock_guard lock(mutex_);
-        if (publishing_) return;
-        publishing_ = true;
-    }
-    while (true) {
-        std::string one;
-        RecordRef before;
-        RecordRef now;
-        bool again = false;
-        if (publishSummary()) continue;
-        {
-            std::unique_lock lock(mutex_);
-            if (to_publish_.empty()) {
-                if (list_due_ || announcement_due_) continue;
-                publishing_ = false;
-                return;
-            }
-            one = std::move(to_publish_.front());
-            to_publish_.pop_front();
-            const auto waiting = waiting_to_publish_.find(one);
-            again = waiting->second;
-            waiting_to_publish_.erase(waiting);
-            const auto session = registered_.find(one);
-            const auto timer = next_paced_;
-            if (session != registered_.end() && isPaced(*session->second, again)) {
-                const bool earlier = next_paced_ < timer;
-                lock.unlock();
-                if (earlier) wake_();
-                continue;
-            }
-            if (const auto found = published_.find(one); found != published_.end()) before = found->second;
-            if (session != registered_.end()) {
-                now = session->second->record;
-                published_[one] = now;
-            } else {
-                published_.erase(one);
-            }
-        }
-        publishOne(one, before, now, again);
-    }
-}
-
-/// When everything about entities has been said: the list of them, and this server's word of itself, whose
-/// count tells a front-end server whether it has heard everything before it. Returns whether it said one of
-/// them.
-bool EntityServerCore::publishSummary() {
-    std::optional<std::vector<std::string>> entities;
-    std::vector<std::string> here;
-    {
-        const std::lock_guard lock(mutex_);
-        if (!to_publish_.empty() || !(list_due_ || announcement_due_)) return false;
-        if (std::exchange(list_due_, false)) {
-            entities.emplace();
-            for (const auto& [entity, record] : published_) entities->push_back(entity);
-        } else {
-            announcement_due_ = false;
-            for (const auto& [entity, session] : registered_) here.push_back(entity);
-        }
-    }
-    if (entities) {
-        topic_.entityServerEntities(settings_.name, *entities);
-    } else {
-        auto self = others_.self();
-        self.published = publications_;
-        topic_.entityServerUpdate(Lane::Data, self);
-        topic_.peersUpdate(Lane::Data, self, here);
-    }
-    return true;
-}
-
-void EntityServerCore::publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now,
-                                  bool again) {
-    const bool same_session = before && now && before->session == now->session;
-    const auto presence = [&](Presence what, const Registration& registration, std::string_view profile) {
-        ++publications_;
-        topic_.entityBasicPrflUpdate(what, registration, profile);
-    };
-    if (before && !same_session) presence(Presence::Left, before->registration, {});
-    if (!now) return;
-    if (!same_session) {
-        presence(Presence::Joined, now->registration, *now->profile);
-    } else if (tellsProfile(before, now, again)) {
-        presence(Presence::Changed, now->registration, *now->profile);
-    }
-    const bool was_ready = same_session && !before->profile->empty();
-    if (!now->profile->empty() && !was_ready)
-        note_(now->registration.name + " joined (" + entity + ")");
-    else if (!same_session)
-        note_(now->registration.name + " is connected and not ready (" + entity +
-              "); axon ls --all shows why");
-    if (now->heard && (again || !same_session || !before->heard || now->status != before->status)) {
-        topic_.entityUpdate(now->status, ++publications_);
-    }
+    publisher_.publishPending();
 }
 
 }  // namespace axon::entity_server

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <atomic>
-#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -21,6 +20,7 @@
 #include "common/watchdog.hpp"
 #include "entity_server/drills/drills.hpp"
 #include "entity_server/ports/ports.hpp"
+#include "entity_server/publishing/publisher.hpp"
 
 namespace axon::entity_server {
 
@@ -43,8 +43,8 @@ struct EntityServerCoreSettings {
 /// Where in the flow: between the Entity Managers (EntityOutbox, EntitySessionServant) and the front-end
 /// servers (FrontEndTopic, FrontEndToEntityServant). An event goes in as one call; effects leave through the
 /// ports before it returns, except that publications about one entity may be made by another thread that is
-/// publishing already, and those of an entity that leaves are made by publishPending(): it may leave on a
-/// thread of the signal lane or the heartbeats' timer, neither of which may be delayed.
+/// publishing already (Publisher), and those of an entity that leaves are made by publishPending(): it may
+/// leave on a thread of the signal lane or the heartbeats' timer, neither of which may be delayed.
 ///
 /// Drills: the core measures by itself how long a stop takes. In each `drill_period` every entity gets one
 /// stop of cause Drill on its signal lane, spread over the period, but for those that are latched or have no
@@ -138,15 +138,6 @@ class EntityServerCore {
     std::vector<std::string> margins() const;
 
   private:
-    /// What the front-end servers know of an entity, replaced whole.
-    struct Record {
-        Registration registration;
-        std::shared_ptr<const std::string> profile;
-        EntityStatus status;
-        bool heard = false;  ///< the status is one that it has sent
-        std::uint64_t session = 0;
-    };
-    using RecordRef = std::shared_ptr<const Record>;
     struct Elsewhere {
         std::string entity;
         std::string server;
@@ -176,16 +167,8 @@ class EntityServerCore {
     bool flooded(const SessionRef& session);
     bool tooMuchSignal(Session& session, std::string_view message);
     void schedule(const SessionRef& session, TimePoint at);
-    void leaveToPublisher(const std::string& entity);
-    void putInQueue(const std::string& entity, bool again);
-    static bool tellsProfile(const RecordRef& before, const RecordRef& now, bool again);
-    bool isPaced(Session& session, bool again);
-    bool endPauses(TimePoint now);
     TimePoint onDrillTimer();
-    void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now, bool again);
     bool alone() const { return settings_.name.empty(); }
-    void publishAllAgain();
-    bool publishSummary();
     void announce(Lane lane);
     void frontEndsLost(const std::vector<std::string>& names);
     void entityServersLost(const std::vector<std::string>& names);
@@ -207,10 +190,9 @@ class EntityServerCore {
     SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
     SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane
 
+    Publisher publisher_;
     Drills drills_;         // guarded by mutex_, but for what an answer needs
     RateLimit slow_lines_;  // of the log, about who reads slowly
-    // Confined to whoever publishes:
-    std::int64_t publications_ = 0;
 
     std::mutex refused_mutex_;
     std::unordered_map<std::string, TimePoint> refused_;  // guarded by refused_mutex_: whose data, and when
@@ -221,20 +203,8 @@ class EntityServerCore {
     std::unordered_map<std::string, std::weak_ptr<Session>> tokens_;
     std::unordered_map<std::string, SessionRef> registered_;
     std::priority_queue<Due> due_;
-    std::unordered_map<std::string, RecordRef> published_;
-    std::deque<std::string> to_publish_;  // each UUID at most once, so bounded by the number of entities
-    std::unordered_map<std::string, bool> waiting_to_publish_;  // true: also where nothing has changed
-    struct Paced {
-        bool again = false;  // as in waiting_to_publish_
-        TimePoint at;
-    };
-    std::unordered_map<std::string, Paced> paced_;  // to be published later
-    TimePoint next_paced_ = TimePoint::max();
-    bool list_due_ = false;
-    bool announcement_due_ = false;
     // entity server → those of elsewhere_ that it has, or had before another one said that it has them
     std::unordered_map<std::string, std::vector<std::string>> entities_of_;
-    bool publishing_ = false;
 };
 
 }  // namespace axon::entity_server
