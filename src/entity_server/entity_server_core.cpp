@@ -2,7 +2,6 @@
 #include "entity_server/entity_server_core.hpp"
 
 #include <algorithm>
-#include <unordered_set>
 #include <utility>
 
 #include "common/entity_name.hpp"
@@ -222,6 +221,7 @@ EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Cloc
                                    .reach = [this](const auto& servers) { topic_.reachPeers(servers); },
                                    .lost = [this](const auto& names) { entityServersLost(names); },
                                    .waits_for_announcement = true})),
+      elsewhere_(settings.entities_max),
       publisher_(others_.self(), clock, topic, note_, wake_),
       drills_({settings.drill_period, settings.drill_answer}, clock, random),
       slow_lines_(kLinesPerSecond) {}
@@ -290,12 +290,11 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                                   "copied, give the copy an "
                                   "empty one (--state), and it becomes another entity");
             }
-            const auto at = elsewhere(registration.entity, Lane::Data);
-            if (at && entity_servers_.hears(at->server, kPeerLives, now)) {
+            const auto at = elsewhere_.serverOf(registration.entity, Lane::Data);
+            if (at && entity_servers_.hears(*at, kPeerLives, now)) {
                 return refuse(
                     RefusalCode::Duplicate,
-                    "entity " + registration.entity + " is connected already, to entity server " +
-                        at->server +
+                    "entity " + registration.entity + " is connected already, to entity server " + *at +
                         "; if the state folder of an Entity Manager was copied, give the copy an empty "
                         "one (--state), and it becomes another entity");
             }
@@ -466,9 +465,9 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
         }
         return;
     }
-    const auto at = elsewhere(head.entity, lane);
+    const auto at = elsewhere_.serverOf(head.entity, lane);
     if (!at) return session->outbox(lane).newRefusalMsg(head, noSuchPeer(head));
-    if (const auto sent = topic_.peerMsg(lane, at->server, head, message); !sent.ok())
+    if (const auto sent = topic_.peerMsg(lane, *at, head, message); !sent.ok())
         session->outbox(lane).newRefusalMsg(head, sent.refusal());
 }
 
@@ -477,8 +476,8 @@ void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view m
     if (peer && deliver(peer->outbox(lane), head, message)) return;
     if (peer) noteSlow(head);
     // Or it left before that was known at the sender's server.
-    if (const auto from = elsewhere(head.sender.id, lane))
-        topic_.peerRefusal(lane, from->server, head, peer ? slowEntity(head) : noSuchPeer(head));
+    if (const auto from = elsewhere_.serverOf(head.sender.id, lane))
+        topic_.peerRefusal(lane, *from, head, peer ? slowEntity(head) : noSuchPeer(head));
 }
 
 void EntityServerCore::clientUnreached(const Header& head, const Refusal& refusal) {
@@ -592,27 +591,7 @@ void EntityServerCore::entityServerUpdate(Lane lane, const ServerAnnouncement& s
     if (alone() || server.name == settings_.name || !isServerName(server.name)) return;
     if (entity_servers_.heard(lane, server, clock_.now())) wake_();
     // What is late of one that is gone is not believed; should it come back, it says so again.
-    if (lane == Lane::Data && !entity_servers_.lost(server.name)) learn(server.name, entities);
-}
-
-void EntityServerCore::learn(const std::string& server, const std::vector<std::string>& entities) {
-    const std::lock_guard lock(mutex_);
-    if (entities.size() > settings_.entities_max ||
-        (entities_of_.size() >= Neighbours::kMost && !entities_of_.contains(server)))
-        return;
-    auto& known = entities_of_[server];
-    const std::unordered_set<std::string_view> present(entities.begin(), entities.end());
-    for (const auto& entity : known) {
-        const auto at = elsewhere_.find(entity);
-        if (!present.contains(entity) && at && at->server == server) elsewhere_.erase(entity);
-    }
-    for (const auto& entity : entities) {
-        if (const auto at = elsewhere_.find(entity); at && at->server == server) continue;
-        auto its = std::make_shared<const Elsewhere>(Elsewhere{entity, server});
-        elsewhere_.put(its->entity, its);
-    }
-    known = entities;
-    if (entities.empty()) entities_of_.erase(server);
+    if (lane == Lane::Data && !entity_servers_.lost(server.name)) elsewhere_.learn(server.name, entities);
 }
 
 /// Under the registry's mutex.
@@ -672,7 +651,7 @@ void EntityServerCore::frontEndsLost(const std::vector<std::string>& names) {
 
 void EntityServerCore::entityServersLost(const std::vector<std::string>& names) {
     for (const auto& name : names) {
-        learn(name, {});
+        elsewhere_.learn(name, {});
         note_("entity server " + name + " is gone");
     }
 }

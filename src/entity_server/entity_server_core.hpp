@@ -21,6 +21,7 @@
 #include "entity_server/drills/drills.hpp"
 #include "entity_server/ports/ports.hpp"
 #include "entity_server/publishing/publisher.hpp"
+#include "entity_server/routing/entities_elsewhere.hpp"
 
 namespace axon::entity_server {
 
@@ -138,11 +139,6 @@ class EntityServerCore {
     std::vector<std::string> margins() const;
 
   private:
-    struct Elsewhere {
-        std::string entity;
-        std::string server;
-    };
-    using ElsewhereRef = std::shared_ptr<const Elsewhere>;
     struct Due {
         TimePoint at;
         std::uint64_t revision;
@@ -156,10 +152,6 @@ class EntityServerCore {
     SessionRef atHome(const std::string& entity, Lane lane) const {
         return table_.find(entity, static_cast<std::size_t>(lane));
     }
-    ElsewhereRef elsewhere(const std::string& entity, Lane lane) const {
-        return elsewhere_.find(entity, static_cast<std::size_t>(lane));
-    }
-    void learn(const std::string& server, const std::vector<std::string>& entities);
     bool refusedLately(const std::string& sender);
     void refuseSlow(Lane lane, const Header& head);
     void refuseAllSlow(const Header& head, const std::vector<std::string>& slow);
@@ -187,8 +179,8 @@ class EntityServerCore {
     OtherServers::Group& front_ends_;
     OtherServers::Group& entity_servers_;
 
-    SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
-    SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane
+    SnapshotTable<SessionRef, 2> table_;  // by entity, for each lane
+    EntitiesElsewhere elsewhere_;
 
     Publisher publisher_;
     Drills drills_;         // guarded by mutex_, but for what an answer needs
@@ -203,8 +195,6 @@ class EntityServerCore {
     std::unordered_map<std::string, std::weak_ptr<Session>> tokens_;
     std::unordered_map<std::string, SessionRef> registered_;
     std::priority_queue<Due> due_;
-    // entity server → those of elsewhere_ that it has, or had before another one said that it has them
-    std::unordered_map<std::string, std::vector<std::string>> entities_of_;
 };
 
 }  // namespace axon::entity_server
