@@ -117,10 +117,6 @@ bool deliver(EntityOutbox& outbox, const Header& head, std::string_view message)
     return true;
 }
 
-Refusal slowEntity(const Header& head) {
-    return queueShareFull("entity " + head.entity.substr(0, 64));
-}
-
 Refusal notForPeers(const Header& head) {
     return {RefusalCode::PermissionDenied,
             "an entity sends other entities COLLABORATION and RAW only, found '" +
@@ -141,12 +137,6 @@ Refusal tooMuchOnSignalLane() {
     return {RefusalCode::Overloaded,
             "the signal lane takes no raw data, messages of at most " + std::to_string(kSignalBytes / 1024) +
                 " KiB, and " + std::to_string(kSignalBytesPerSecond / 1024) + " KiB in a second",
-            {}};
-}
-
-Refusal noSuchPeer(const Header& head) {
-    return {RefusalCode::UnknownEntity,
-            "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there",
             {}};
 }
 
@@ -222,9 +212,9 @@ EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Cloc
                                    .lost = [this](const auto& names) { entityServersLost(names); },
                                    .waits_for_announcement = true})),
       elsewhere_(settings.entities_max),
+      undelivered_(alone(), clock, topic, note_),
       publisher_(others_.self(), clock, topic, note_, wake_),
-      drills_({settings.drill_period, settings.drill_answer}, clock, random),
-      slow_lines_(kLinesPerSecond) {}
+      drills_({settings.drill_period, settings.drill_answer}, clock, random) {}
 
 EntityServerCore::~EntityServerCore() = default;
 
@@ -461,12 +451,12 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
     if (const auto peer = atHome(head.entity, lane)) {
         if (!deliver(peer->outbox(lane), head, message)) {
             session->outbox(lane).newRefusalMsg(head, slowEntity(head));
-            noteSlow(head);
+            undelivered_.noteSlow(head);
         }
         return;
     }
     const auto at = elsewhere_.serverOf(head.entity, lane);
-    if (!at) return session->outbox(lane).newRefusalMsg(head, noSuchPeer(head));
+    if (!at) return session->outbox(lane).newRefusalMsg(head, unknownEntity(head));
     if (const auto sent = topic_.peerMsg(lane, *at, head, message); !sent.ok())
         session->outbox(lane).newRefusalMsg(head, sent.refusal());
 }
@@ -474,10 +464,10 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
 void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view message) {
     const auto peer = atHome(head.entity, lane);
     if (peer && deliver(peer->outbox(lane), head, message)) return;
-    if (peer) noteSlow(head);
+    if (peer) undelivered_.noteSlow(head);
     // Or it left before that was known at the sender's server.
     if (const auto from = elsewhere_.serverOf(head.sender.id, lane))
-        topic_.peerRefusal(lane, *from, head, peer ? slowEntity(head) : noSuchPeer(head));
+        topic_.peerRefusal(lane, *from, head, peer ? slowEntity(head) : unknownEntity(head));
 }
 
 void EntityServerCore::clientUnreached(const Header& head, const Refusal& refusal) {
@@ -520,51 +510,17 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     }
 }
 
-void EntityServerCore::refuseUnknown(Lane lane, const Header& head, Via via) {
-    if (!alone() && via == Via::Topic) return;
-    topic_.entityRefusal(
-        lane, head,
-        refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
-                                               " is connected; 'axon ls' shows those that are there"));
-}
-
-void EntityServerCore::refuseSlow(Lane lane, const Header& head) {
-    topic_.entityRefusal(lane, head, slowEntity(head));
-    noteSlow(head);
-}
-
-void EntityServerCore::noteSlow(const Header& head) {
-    if (slow_lines_.admit(clock_.now()))
-        note_("entity " + head.entity.substr(0, 64) + " reads slowly, and " + head.sender.name + " (" +
-              head.sender.id + ") sends it more than its share of the queue: refused");
-}
-
-// Data is not answered message by message: a sender that streams to an entity that left needs one answer.
-bool EntityServerCore::refusedLately(const std::string& sender) {
-    constexpr std::size_t kRemembered = 4096;
-    const auto now = clock_.now();
-    const std::lock_guard lock(refused_mutex_);
-    const auto found = refused_.find(sender);
-    if (found != refused_.end() && now - found->second < std::chrono::seconds{1}) return true;
-    if (found == refused_.end() && refused_.size() >= kRemembered) refused_.clear();
-    refused_[sender] = now;
-    return false;
-}
-
 void EntityServerCore::clientMsg(const Header& head, std::string_view message, Via via) {
     const auto entity = table_.find(head.entity, kData);
-    if (!entity) return refuseUnknown(Lane::Data, head, via);
+    if (!entity) return undelivered_.unknown(Lane::Data, head, via);
     // Its holder's orders are never refused for what others send: it has the whole queue.
     const auto share = head.sender.id == *entity->holder.load() ? QueueShare::Whole : QueueShare::OfSender;
-    if (!entity->data->newClientMsg(head, message, share)) refuseSlow(Lane::Data, head);
+    if (!entity->data->newClientMsg(head, message, share)) undelivered_.slow(Lane::Data, head);
 }
 
 void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data, Via via) {
     const auto entity = table_.find(head.entity, kData);
-    if (!entity) {
-        if (!refusedLately(head.sender.id)) refuseUnknown(Lane::Data, head, via);
-        return;
-    }
+    if (!entity) return undelivered_.unknownData(head, via);
     entity->data->newClientMsgDataSeq(head, data);
 }
 
@@ -662,8 +618,8 @@ template <class Send>
 void EntityServerCore::toEntities(const Header& head, Send&& send) {
     if (!head.entity.empty()) {
         const auto entity = table_.find(head.entity, kSignal);
-        if (!entity) return refuseUnknown(Lane::Signal, head);
-        if (!send(*entity->signal)) refuseSlow(Lane::Signal, head);
+        if (!entity) return undelivered_.unknown(Lane::Signal, head);
+        if (!send(*entity->signal)) undelivered_.slow(Lane::Signal, head);
         return;
     }
     std::vector<std::string> slow;
@@ -672,15 +628,7 @@ void EntityServerCore::toEntities(const Header& head, Send&& send) {
             if (!send(*session->signal)) slow.push_back(session->entity);
         },
         kSignal);
-    refuseAllSlow(head, slow);
-}
-
-void EntityServerCore::refuseAllSlow(const Header& head, const std::vector<std::string>& slow) {
-    auto refused = head;
-    for (const auto& entity : slow) {
-        refused.entity = entity;
-        refuseSlow(Lane::Signal, refused);
-    }
+    undelivered_.slow(head, slow);
 }
 
 void EntityServerCore::clientUpdate(const Header& head, ClientChange change) {
@@ -703,11 +651,11 @@ void EntityServerCore::stopSignals(const Header& head, const std::vector<std::st
         else if (!found->signal->stopSignal(head, cause))
             slow.push_back(entity);
     }
-    refuseAllSlow(head, slow);
+    undelivered_.slow(head, slow);
     auto refused = head;
     for (const auto* entity : unknown) {
         refused.entity = entity->substr(0, 64);
-        refuseUnknown(Lane::Signal, refused);
+        undelivered_.unknown(Lane::Signal, refused);
     }
 }
 

@@ -22,6 +22,7 @@
 #include "entity_server/ports/ports.hpp"
 #include "entity_server/publishing/publisher.hpp"
 #include "entity_server/routing/entities_elsewhere.hpp"
+#include "entity_server/routing/undelivered.hpp"
 
 namespace axon::entity_server {
 
@@ -148,14 +149,9 @@ class EntityServerCore {
 
     template <class Send>
     void toEntities(const Header& head, Send&& send);
-    void refuseUnknown(Lane lane, const Header& head, Via via = Via::Topic);
     SessionRef atHome(const std::string& entity, Lane lane) const {
         return table_.find(entity, static_cast<std::size_t>(lane));
     }
-    bool refusedLately(const std::string& sender);
-    void refuseSlow(Lane lane, const Header& head);
-    void refuseAllSlow(const Header& head, const std::vector<std::string>& slow);
-    void noteSlow(const Header& head);
     bool flooded(const SessionRef& session);
     bool tooMuchSignal(Session& session, std::string_view message);
     void schedule(const SessionRef& session, TimePoint at);
@@ -181,13 +177,10 @@ class EntityServerCore {
 
     SnapshotTable<SessionRef, 2> table_;  // by entity, for each lane
     EntitiesElsewhere elsewhere_;
+    Undelivered undelivered_;
 
     Publisher publisher_;
-    Drills drills_;         // guarded by mutex_, but for what an answer needs
-    RateLimit slow_lines_;  // of the log, about who reads slowly
-
-    std::mutex refused_mutex_;
-    std::unordered_map<std::string, TimePoint> refused_;  // guarded by refused_mutex_: whose data, and when
+    Drills drills_;  // guarded by mutex_, but for what an answer needs
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
