@@ -6,22 +6,13 @@
 
 #include "common/life_signs.hpp"
 #include "common/queue_share.hpp"
-#include "common/rights.hpp"
 #include "common/snapshot.hpp"
 #include "entity_server/sessions/registration_check.hpp"
+#include "entity_server/sessions/send_limits.hpp"
 
 namespace axon::entity_server {
 namespace {
 
-// Of one entity for all others, of messages of runs: in one what a step may give back, which is a frame of
-// the link and some more; in a second the invitations of the largest run twice over. Raw data gives way by
-// itself.
-constexpr std::size_t kPeerBytes = (1024 + 64) * 1024U;
-constexpr std::uint32_t kPeerBytesPerSecond = 8 * 1024 * 1024U;
-// Of one entity for anybody on a signal lane, which stops share: beats and ends of runs, receipts, refusals.
-constexpr std::size_t kSignalBytes = 16 * 1024U;
-constexpr std::uint32_t kSignalBytesPerSecond = 1024 * 1024U;
-constexpr std::size_t kSignalOverhead = 64;    // of each
 constexpr std::uint32_t kLinesPerSecond = 20;  // of the log, about one entity
 
 }  // namespace
@@ -33,7 +24,7 @@ class EntityServerCore::Session {
         : number(its_number),
           token(std::move(its_token)),
           data(std::move(its_data)),
-          rate(messages_per_second) {}
+          limits(messages_per_second) {}
 
     // Constant after construction.
     const std::uint64_t number;
@@ -49,8 +40,8 @@ class EntityServerCore::Session {
     Snapshot<std::string> name;    // of its newest registration
     Snapshot<std::string> holder;  // by its newest status
 
-    RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond},
-        lines{kLinesPerSecond};
+    SendLimits limits;
+    RateLimit lines{kLinesPerSecond};
     LifeSigns signs;  // written without a lock
 
     // Guarded by the core's mutex.
@@ -110,29 +101,6 @@ bool deliver(EntityOutbox& outbox, const Header& head, std::string_view message)
     if (head.msg_type != kMsgRaw) return outbox.newClientMsg(head, message, QueueShare::OfSender);
     outbox.newClientMsgDataSeq(head, message);
     return true;
-}
-
-Refusal notForPeers(const Header& head) {
-    return {RefusalCode::PermissionDenied,
-            "an entity sends other entities COLLABORATION and RAW only, found '" +
-                head.msg_type.substr(0, 64) + '\'',
-            {}};
-}
-
-Refusal tooMuchForPeers(bool in_one) {
-    return {
-        in_one ? RefusalCode::TooLarge : RefusalCode::Overloaded,
-        "an entity sends other entities at most " +
-            (in_one ? std::to_string(kPeerBytes / 1024) + " KiB in a message"
-                    : std::to_string(kPeerBytesPerSecond / 1024) + " KiB of messages of runs in a second"),
-        {}};
-}
-
-Refusal tooMuchOnSignalLane() {
-    return {RefusalCode::Overloaded,
-            "the signal lane takes no raw data, messages of at most " + std::to_string(kSignalBytes / 1024) +
-                " KiB, and " + std::to_string(kSignalBytesPerSecond / 1024) + " KiB in a second",
-            {}};
 }
 
 }  // namespace
@@ -352,17 +320,11 @@ void EntityServerCore::refuseOnSignalLane(const SessionRef& session, const char*
 }
 
 bool EntityServerCore::flooded(const SessionRef& session) {
-    if (session->rate.admit(clock_.now())) return false;
+    if (session->limits.admit(clock_.now())) return false;
     session->data->disconnect(false, "it flooded the server (more than " +
                                          std::to_string(settings_.messages_per_second) +
                                          " messages in a second)");
     return true;
-}
-
-bool EntityServerCore::tooMuchSignal(Session& session, std::string_view message) {
-    return message.size() > kSignalBytes ||
-           !session.signal_bytes.admit(clock_.now(),
-                                       static_cast<std::uint32_t>(message.size() + kSignalOverhead));
 }
 
 void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header head,
@@ -373,8 +335,8 @@ void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header
         return;
     }
     head.entity = session->entity;
-    if (lane == Lane::Signal && tooMuchSignal(*session, message))
-        return session->outbox(lane).newRefusalMsg(head, tooMuchOnSignalLane());
+    if (const auto may = session->limits.toClient(lane, message, clock_.now()); !may.ok())
+        return session->outbox(lane).newRefusalMsg(head, may.refusal());
     topic_.entityMsg(lane, head, message);
 }
 
@@ -387,13 +349,8 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head,
                                   std::string_view message) {
     if (!session->registered || flooded(session)) return;
-    if (!entitiesMaySend(head.msg_type)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
-    if (lane == Lane::Signal && (head.msg_type == kMsgRaw || tooMuchSignal(*session, message)))
-        return session->outbox(lane).newRefusalMsg(head, tooMuchOnSignalLane());
-    const bool large = message.size() > kPeerBytes;
-    if (large || (lane == Lane::Data && head.msg_type != kMsgRaw &&
-                  !session->peer_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size()))))
-        return session->outbox(lane).newRefusalMsg(head, tooMuchForPeers(large));
+    if (const auto may = session->limits.toPeer(lane, head, message, clock_.now()); !may.ok())
+        return session->outbox(lane).newRefusalMsg(head, may.refusal());
     head.sender = {session->entity, *session->name.load(), Role::Operator};
     if (const auto peer = atHome(head.entity, lane)) {
         if (!deliver(peer->outbox(lane), head, message)) {

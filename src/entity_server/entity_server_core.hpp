@@ -153,7 +153,6 @@ class EntityServerCore {
         return table_.find(entity, static_cast<std::size_t>(lane));
     }
     bool flooded(const SessionRef& session);
-    bool tooMuchSignal(Session& session, std::string_view message);
     void schedule(const SessionRef& session, TimePoint at);
     TimePoint onDrillTimer();
     bool alone() const { return settings_.name.empty(); }
