@@ -7,15 +7,11 @@
 #include "common/life_signs.hpp"
 #include "common/queue_share.hpp"
 #include "common/snapshot.hpp"
+#include "entity_server/sessions/holder_log.hpp"
 #include "entity_server/sessions/registration_check.hpp"
 #include "entity_server/sessions/send_limits.hpp"
 
 namespace axon::entity_server {
-namespace {
-
-constexpr std::uint32_t kLinesPerSecond = 20;  // of the log, about one entity
-
-}  // namespace
 
 class EntityServerCore::Session {
   public:
@@ -41,7 +37,6 @@ class EntityServerCore::Session {
     Snapshot<std::string> holder;  // by its newest status
 
     SendLimits limits;
-    RateLimit lines{kLinesPerSecond};
     LifeSigns signs;  // written without a lock
 
     // Guarded by the core's mutex.
@@ -52,7 +47,7 @@ class EntityServerCore::Session {
     std::int64_t heartbeats = 0;
     TimePoint fed;  // the last sign of life that the watchdog was told
     TimePoint warn_again;
-    std::size_t lines_left_out = 0;
+    HolderLog holder_log;
     bool gone = false;
 
     EntityOutbox& outbox(Lane lane) const { return lane == Lane::Signal ? *signal : *data; }
@@ -260,23 +255,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         const auto now = clock_.now();
         const bool busy = status.state == EntityState::BUSY;
         const auto& before = session->record->status;
-        if (before.holder.id != status.holder.id) {
-            const auto name = *session->name.load();
-            if (!status.holder.id.empty()) {
-                line = name + " is checked out by " + status.holder.name;
-            } else if (status.state == EntityState::IDLE && !status.reason.empty()) {
-                line = "audit: " + name + " is taken from " + before.holder.name + ": " + status.reason;
-            } else {
-                line = name + " is free, released by " + before.holder.name;
-            }
-            if (!session->lines.admit(now)) {
-                ++session->lines_left_out;
-                line.clear();
-            } else if (const auto left_out = std::exchange(session->lines_left_out, 0); left_out > 0) {
-                line += " (" + std::to_string(left_out) +
-                        " changes of its holder before this one are not in the log)";
-            }
-        }
+        line = session->holder_log.line(*session->name.load(), before, status, now);
         if (before.holder.id != status.holder.id)
             session->holder.store(std::make_shared<const std::string>(status.holder.id));
         late =
@@ -392,7 +371,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
         const std::lock_guard lock(mutex_);
         if (session->gone) return;
         session->gone = true;
-        lines_left_out = session->lines_left_out;
+        lines_left_out = session->holder_log.leftOut();
         tokens_.erase(session->token);
         if (session->registered) {
             countBusy(session->record->status, {}, clock_.now());
