@@ -82,8 +82,12 @@ Refusal refuse(RefusalCode code, std::string message) {
     return {code, std::move(message), {}};
 }
 
-constexpr auto kData = static_cast<std::size_t>(Lane::Data);
-constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
+constexpr std::size_t index(Lane lane) {
+    return static_cast<std::size_t>(lane);
+}
+
+constexpr auto kData = index(Lane::Data);
+constexpr auto kSignal = index(Lane::Signal);
 constexpr const char* kDataLaneOnly =
     "registration and status belong on the data lane; send them on that session";
 // Another entity server says each 50 ms that it lives; one that is killed does not keep its entities from
@@ -96,6 +100,17 @@ bool deliver(EntityOutbox& outbox, const Header& head, std::string_view message)
     if (head.msg_type != kMsgRaw) return outbox.newClientMsg(head, message, QueueShare::OfSender);
     outbox.newClientMsgDataSeq(head, message);
     return true;
+}
+
+/// What the front-end server would have said, had it lost its client. The clock makes the number new.
+void loseClient(EntityOutbox& signal, const EntityStatus& status, TimePoint now) {
+    Header head;
+    head.sender = status.holder;
+    head.entity = status.entity;
+    head.sent_at_us = toMicroseconds(now);
+    head.sequence = kEntityServerSequences + head.sent_at_us % (kServerSequences / 2);
+    signal.stopSignal(head, StopCause::ClientLost);
+    signal.newClientUpdate(head, ClientChange::Lost);
 }
 
 }  // namespace
@@ -286,7 +301,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         session->signal->newHeartbeat(heartbeat);
         wake_();
     }
-    if (late) loseClient(*session->signal, given);
+    if (late) loseClient(*session->signal, given, clock_.now());
     publishPending();
     if (!line.empty()) note_(line);
 }
@@ -331,7 +346,7 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
     if (const auto may = session->limits.toPeer(lane, head, message, clock_.now()); !may.ok())
         return session->outbox(lane).newRefusalMsg(head, may.refusal());
     head.sender = {session->entity, *session->name.load(), Role::Operator};
-    if (const auto peer = atHome(head.entity, lane)) {
+    if (const auto peer = table_.find(head.entity, index(lane))) {
         if (!deliver(peer->outbox(lane), head, message)) {
             session->outbox(lane).newRefusalMsg(head, slowEntity(head));
             undelivered_.noteSlow(head);
@@ -345,7 +360,7 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
 }
 
 void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view message) {
-    const auto peer = atHome(head.entity, lane);
+    const auto peer = table_.find(head.entity, index(lane));
     if (peer && deliver(peer->outbox(lane), head, message)) return;
     if (peer) undelivered_.noteSlow(head);
     // Or it left before that was known at the sender's server.
@@ -354,11 +369,13 @@ void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view m
 }
 
 void EntityServerCore::clientUnreached(const Header& head, const Refusal& refusal) {
-    if (const auto sender = atHome(head.entity, Lane::Data)) sender->data->newRefusalMsg(head, refusal);
+    if (const auto sender = table_.find(head.entity, index(Lane::Data)))
+        sender->data->newRefusalMsg(head, refusal);
 }
 
 void EntityServerCore::peerRefusal(Lane lane, const Header& head, const Refusal& refusal) {
-    if (const auto sender = atHome(head.sender.id, lane)) sender->outbox(lane).newRefusalMsg(head, refusal);
+    if (const auto sender = table_.find(head.sender.id, index(lane)))
+        sender->outbox(lane).newRefusalMsg(head, refusal);
 }
 
 void EntityServerCore::keepAlive(const SessionRef& session) {
@@ -446,17 +463,6 @@ void EntityServerCore::countBusy(const EntityStatus& before, const EntityStatus&
     if (was != is && !is.empty()) wake_();
 }
 
-/// What the front-end server would have said, had it lost its client. The clock makes the number new.
-void EntityServerCore::loseClient(EntityOutbox& signal, const EntityStatus& status) const {
-    Header head;
-    head.sender = status.holder;
-    head.entity = status.entity;
-    head.sent_at_us = toMicroseconds(clock_.now());
-    head.sequence = kEntityServerSequences + head.sent_at_us % (kServerSequences / 2);
-    signal.stopSignal(head, StopCause::ClientLost);
-    signal.newClientUpdate(head, ClientChange::Lost);
-}
-
 void EntityServerCore::announce(Lane lane) {
     if (lane == Lane::Signal) {
         topic_.entityServerUpdate(lane, others_.self());
@@ -480,7 +486,7 @@ void EntityServerCore::frontEndsLost(const std::vector<std::string>& names) {
     // First of all who may be moving.
     std::stable_partition(left_behind.begin(), left_behind.end(),
                           [](const auto& one) { return one.second.state == EntityState::BUSY; });
-    for (const auto& [session, status] : left_behind) loseClient(*session->signal, status);
+    for (const auto& [session, status] : left_behind) loseClient(*session->signal, status, clock_.now());
     for (const auto& name : names) {
         note_("front-end server " + name + " is gone; its clients held " +
               std::to_string(left_behind.size()) + (left_behind.size() == 1 ? " entity" : " entities") +

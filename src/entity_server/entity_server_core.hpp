@@ -149,9 +149,6 @@ class EntityServerCore {
 
     template <class Send>
     void toEntities(const Header& head, Send&& send);
-    SessionRef atHome(const std::string& entity, Lane lane) const {
-        return table_.find(entity, static_cast<std::size_t>(lane));
-    }
     bool flooded(const SessionRef& session);
     void schedule(const SessionRef& session, TimePoint at);
     TimePoint onDrillTimer();
@@ -160,7 +157,6 @@ class EntityServerCore {
     void frontEndsLost(const std::vector<std::string>& names);
     void entityServersLost(const std::vector<std::string>& names);
     void countBusy(const EntityStatus& before, const EntityStatus& now, TimePoint at);
-    void loseClient(EntityOutbox& signal, const EntityStatus& status) const;
 
     const EntityServerCoreSettings settings_;
     const Clock& clock_;
