@@ -13,7 +13,7 @@
 #include "common/queue_share.hpp"
 #include "common/rights.hpp"
 #include "common/utf8.hpp"
-#include "front_end_server/client.hpp"
+#include "front_end_server/clients/client.hpp"
 
 namespace axon::front_end_server {
 

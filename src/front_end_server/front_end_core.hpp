@@ -20,29 +20,12 @@
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "common/snapshot_table.hpp"
-#include "front_end_server/holdings.hpp"
-#include "front_end_server/missed_news.hpp"
-#include "front_end_server/ports.hpp"
+#include "front_end_server/clients/holdings.hpp"
+#include "front_end_server/entities/missed_news.hpp"
+#include "front_end_server/ports/core_settings.hpp"
+#include "front_end_server/ports/ports.hpp"
 
 namespace axon::front_end_server {
-
-struct FrontEndCoreSettings {
-    /// Of one of several front-end servers in processes of their own (isServerName); empty: it is the only
-    /// one, with the only entity server beside it.
-    std::string name;
-    Neighbours::Timeouts entity_servers;
-    Duration watchdog_busy = std::chrono::milliseconds{250};  ///< safety.md, "Watchdogs"
-    Duration watchdog_idle = std::chrono::seconds{10};
-    Duration heartbeat_busy = std::chrono::milliseconds{50};
-    Duration heartbeat_idle = std::chrono::seconds{2};
-    std::size_t clients_max = 4096;
-    std::size_t clients_remembered = 1024;  ///< that are gone, and might be granted an entity late
-    std::uint32_t messages_per_second =
-        100'000;  ///< control messages of one client, and signals; above is a flood
-    /// Entities that one client may drill in a second; what begins within is carried out, and the next
-    /// refused.
-    std::uint32_t drills_per_second = kDrillsPerSecond;
-};
 
 /// The most entities that one list of stops may name. A stop goes to the first of a longer one, and its
 /// sender's session ends.
