@@ -29,18 +29,6 @@ constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as 
 constexpr auto kData = static_cast<std::size_t>(Lane::Data);
 constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
 
-StopCause causeOf(Ending ending) {
-    switch (ending) {
-        case Ending::Ended:
-            return StopCause::Released;
-        case Ending::Lost:
-            return StopCause::ClientLost;
-        case Ending::Improper:
-            return StopCause::Improper;
-    }
-    return StopCause::ClientLost;
-}
-
 }  // namespace
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -53,6 +41,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       note_(std::move(note)),
       wake_(std::move(wake)),
       global_services_(global_services),
+      settlement_(clock, topic),
       doubts_(kLinesPerSecond),
       excesses_(kLinesPerSecond),
       others_(settings.name, random, note_,
@@ -61,7 +50,8 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
                                    .timeouts = settings.entity_servers,
                                    .reach = [this](const auto& servers) { topic_.reach(servers); },
                                    .left = [this](const auto& names) { serversLost(names); },
-                                   .arrived = [this](const auto& name) { serverArrived(name); }})) {}
+                                   .arrived = [this](const auto& name) { serverArrived(name); }})),
+      gone_(settings.clients_remembered) {}
 
 FrontEndCore::~FrontEndCore() = default;
 
@@ -370,34 +360,6 @@ void FrontEndCore::keepAlive(const ClientRef& client) {
     client->signs.heard(clock_.now());
 }
 
-// All stops before anything else is said: no entity's stop waits for another one's paperwork.
-void FrontEndCore::settle(const Sender& client, Ending ending, const Holdings::Held& held) {
-    if (AXON_PLANTED(LostClientForgotten) && ending == Ending::Lost) return;
-    Header head;
-    head.sender = client;
-    head.sequence = kServerSequences + ++own_stops_;
-    head.sent_at_us = toMicroseconds(clock_.now());
-    std::vector<std::string> stopped;
-    for (const auto& [entity, busy] : held) {
-        if (ending != Ending::Ended || busy) stopped.push_back(entity);
-    }
-    if (stopped.size() == 1) {
-        head.entity = stopped.front();
-        topic_.stopSignal(head, causeOf(ending));
-    } else if (!stopped.empty()) {
-        topic_.stopSignals(head, stopped, causeOf(ending));
-    }
-    for (const auto& [entity, busy] : held) tellGone(client, entity, ending);
-}
-
-void FrontEndCore::tellGone(const Sender& client, const std::string& entity, Ending ending) {
-    Header head;
-    head.sender = client;
-    head.entity = entity;
-    head.sent_at_us = toMicroseconds(clock_.now());
-    topic_.clientUpdate(head, ending == Ending::Ended ? ClientChange::Ended : ClientChange::Lost);
-}
-
 void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::string& why) {
     Holdings::Held held;
     {
@@ -407,18 +369,13 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
         clients_.erase(client->me.id);
         tokens_.erase(client->token);
         held = holdings_.of(client->me.id);
-        gone_.emplace(client->me.id, Gone{client->me, ending});
-        gone_order_.push_back(client->me.id);
-        if (gone_order_.size() > settings_.clients_remembered) {
-            gone_.erase(gone_order_.front());
-            gone_order_.pop_front();
-        }
+        gone_.remember(client->me, ending);
         table_.erase(client->me.id);
     }
-    settle(client->me, ending, held);
+    settlement_.settle(client->me, ending, held);
     // Whom else it asked: it waits for none of them any more, and watches nothing.
     for (const auto& [entity, check_out] : client->takeAsked())
-        if (!held.contains(entity)) tellGone(client->me, entity, ending);
+        if (!held.contains(entity)) settlement_.tellGone(client->me, entity, ending);
     client->data->disconnect(ending == Ending::Ended, why);
     if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
     const char* how = ending == Ending::Ended  ? " left"
@@ -637,7 +594,7 @@ void FrontEndCore::serverArrived(const std::string& name) {
 
 void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via via) {
     const bool busy = status.state == EntityState::BUSY;
-    std::optional<Gone> late;
+    std::optional<GoneClients::Gone> late;
     std::string entity, doubt;
     {
         const std::lock_guard lock(mutex_);
@@ -679,14 +636,14 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
                 if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
             } else if (before != holder && !status.orphaned && isOurs(holder)) {
                 // Granted to a client that was gone before the grant was known here, however long ago.
-                const auto gone = gone_.find(holder);
-                late = gone != gone_.end() ? gone->second : Gone{status.holder, Ending::Lost};
+                late = gone_.find(status.holder);
             }
         }
     }
     if (!doubt.empty() && doubts_.admit(clock_.now()))
         note_("entity " + entity + " is not believed: " + doubt);
-    if (late && !AXON_PLANTED(LateGrantLeft)) settle(late->sender, late->ending, {{entity, busy}});
+    if (late && !AXON_PLANTED(LateGrantLeft))
+        settlement_.settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
     // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the
     // newest.

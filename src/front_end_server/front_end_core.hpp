@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <atomic>
-#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -20,7 +18,9 @@
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "common/snapshot_table.hpp"
+#include "front_end_server/clients/gone_clients.hpp"
 #include "front_end_server/clients/holdings.hpp"
+#include "front_end_server/clients/settlement.hpp"
 #include "front_end_server/entities/missed_news.hpp"
 #include "front_end_server/ports/core_settings.hpp"
 #include "front_end_server/ports/ports.hpp"
@@ -32,13 +32,6 @@ namespace axon::front_end_server {
 inline constexpr std::size_t kStopsAtOnce = 8192;
 
 class Client;
-
-/// How a session ended.
-enum class Ending : std::uint8_t {
-    Ended,    ///< the client said so
-    Lost,     ///< its connection closed, or it fell silent
-    Improper  ///< it was dropped for its behaviour
-};
 
 /// The clients and their check-outs, and the front-end's copy of what entities there are (thesis:
 /// ClientMonitor), without its sockets.
@@ -133,10 +126,6 @@ class FrontEndCore {
     };
     using RecordRef = std::shared_ptr<const Record>;
     using Records = std::unordered_map<std::string, RecordRef>;
-    struct Gone {
-        Sender sender;
-        Ending ending;
-    };
 
     template <class Send>
     void eachOf(Lane lane, const std::string& recipient, Send&& send);
@@ -150,8 +139,6 @@ class FrontEndCore {
     void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;
-    void settle(const Sender& client, Ending ending, const Holdings::Held& held);
-    void tellGone(const Sender& client, const std::string& entity, Ending ending);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
     bool isOurs(const std::string& client) const {
@@ -178,7 +165,7 @@ class FrontEndCore {
 
     SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
     SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane
-    std::atomic<std::int64_t> own_stops_{0};
+    Settlement settlement_;
 
     RateLimit doubts_, excesses_;  // lines of the log about what entities and clients do
 
@@ -194,8 +181,7 @@ class FrontEndCore {
     MissedNews missed_;
     // Entities that another server than the record's has spoken of; when that one lets go, it is asked.
     std::unordered_set<std::string> disputed_;
-    std::unordered_map<std::string, Gone> gone_;
-    std::deque<std::string> gone_order_;
+    GoneClients gone_;
 };
 
 }  // namespace axon::front_end_server
