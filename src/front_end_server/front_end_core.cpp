@@ -19,8 +19,6 @@ namespace axon::front_end_server {
 
 namespace {
 
-constexpr std::uint32_t kLinesPerSecond = 8;  // of the log, of a kind
-
 Refusal refuse(RefusalCode code, std::string message) {
     return {code, std::move(message), {}};
 }
@@ -42,8 +40,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       wake_(std::move(wake)),
       global_services_(global_services),
       settlement_(clock, topic),
-      doubts_(kLinesPerSecond),
-      excesses_(kLinesPerSecond),
+      log_(clock, note_),
       others_(settings.name, random, note_,
               [this](Lane lane) { topic_.frontEndServerUpdate(lane, others_.self()); }),
       entity_servers_(others_.add({.name = "entity server",
@@ -165,27 +162,6 @@ bool FrontEndCore::drillsTooMuch(const ClientRef& client, const Header& head, st
     return true;
 }
 
-// Who did what, for those who ask afterwards. A forced take-over is inside a payload: the Entity Manager says
-// it.
-void FrontEndCore::audit(const char* what, const Sender& who,
-                         const std::vector<std::string>& entities) const {
-    constexpr std::size_t kNamed = 16;
-    std::string to;
-    for (std::size_t i = 0; i < std::min(entities.size(), kNamed); ++i)
-        to += (i == 0 ? "" : ", ") + entities[i].substr(0, 64);
-    if (entities.size() > kNamed) to += " and " + std::to_string(entities.size() - kNamed) + " more";
-    if (entities.size() == 1 && to.empty()) to = "all " + std::to_string(known_.size()) + " entities";
-    note_(std::string("audit: ") + what + " by " + who.name + " (" + toString(who.role) + ", " + who.id +
-          ") to " + to);
-}
-
-/// Logs a client that exceeds its limits, so that an operator can find out why the server is slow.
-void FrontEndCore::noteExcess(const Client& client, const Refusal& refusal) {
-    if (refusal.code != RefusalCode::Overloaded && refusal.code != RefusalCode::TooLarge) return;
-    if (excesses_.admit(clock_.now()))
-        note_("client " + client.me.name + " (" + client.me.id + ") is refused: " + refusal.message);
-}
-
 void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
     if (head.msg_type == kMsgStatus) {
@@ -198,7 +174,7 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
                                     "all statuses are told at most " + std::to_string(kListsPerSecond) +
                                         " times in a second; what changes is told without being asked for");
         client->data->newRefusalMsg(head, refusal);
-        return noteExcess(*client, refusal);
+        return log_.excess(client->me, refusal);
     }
     if (head.msg_type == kMsgGlobalServices && global_services_ != nullptr) {
         const auto answer = global_services_->answer(message);
@@ -265,14 +241,14 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
     if (!alone() && !known) return refuseUnknown(*client->data, head);
     if (const auto may = mayGoOn(*client, head, message.size()); !may.ok()) {
         client->data->newRefusalMsg(head, may.refusal());
-        return noteExcess(*client, may.refusal());
+        return log_.excess(client->me, may.refusal());
     }
     if (const auto sent = topic_.clientMsg(known ? known->registration.server : std::string(), head, message);
         !sent.ok()) {
         client->data->newRefusalMsg(head, sent.refusal());
         return;
     }
-    if (head.msg_type == kMsgRearm) audit("rearm", client->me, {head.entity});
+    if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, known_.size());
 }
 
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
@@ -281,7 +257,7 @@ void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std
     // Droppable data of who may not send it is dropped without a word.
     if ((!alone() && !known) || !mayGoOn(*client, head, data.size()).ok()) return;
     topic_.clientMsgDataSeq(known ? known->registration.server : std::string(), head, data);
-    if (head.msg_type == kMsgRearm) audit("rearm", client->me, {head.entity});
+    if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, known_.size());
 }
 
 std::size_t FrontEndCore::stopTargets(const std::string& entity) const {
@@ -299,7 +275,7 @@ void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCaus
     const auto targets = stopTargets(head.entity);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
     if (!alone() && targets == 0 && !head.entity.empty()) refuseUnknown(*client->signalOutbox(), head);
-    audit(cause == StopCause::Drill ? "drill" : "stop", client->me, {head.entity});
+    log_.audit(cause == StopCause::Drill ? "drill" : "stop", client->me, {head.entity}, known_.size());
     flooded(client);  // after the stop: also the last one of a flood is a stop
 }
 
@@ -334,7 +310,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
             refuseUnknown(*client->signalOutbox(), refused);
         }
     }
-    audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted);
+    log_.audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted, known_.size());
     // A longer list is for nobody's robots; each costs its sender a session.
     if (entities.size() > kStopsAtOnce)
         return leave(client, Ending::Improper,
@@ -345,14 +321,14 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
 void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
     topic_.resetSignal(head);
-    audit("reset", client->me, {head.entity});
+    log_.audit("reset", client->me, {head.entity}, known_.size());
     flooded(client);
 }
 
 void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
     topic_.clearSignal(head);
-    audit("clear", client->me, {head.entity});
+    log_.audit("clear", client->me, {head.entity}, known_.size());
     flooded(client);
 }
 
@@ -595,7 +571,7 @@ void FrontEndCore::serverArrived(const std::string& name) {
 void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via via) {
     const bool busy = status.state == EntityState::BUSY;
     std::optional<GoneClients::Gone> late;
-    std::string entity, doubt;
+    std::string entity, doubted;
     {
         const std::lock_guard lock(mutex_);
         if (via == Via::Topic) hearOf(status.server);
@@ -629,9 +605,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
                 // An entity that names a client which never asked for it is told of its end like any other,
                 // but does not decide how often that client must beat.
                 const bool asked = client->second->hasAsked(entity) || AXON_PLANTED(UnaskedHolderBelieved);
-                if (!asked && before != holder)
-                    doubt =
-                        "it names " + client->second->me.name + " as its holder, who has not asked for it";
+                if (!asked && before != holder) doubted = client->second->me.name;
                 client->second->setHolds(entity, true);
                 if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
             } else if (before != holder && !status.orphaned && isOurs(holder)) {
@@ -640,8 +614,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
             }
         }
     }
-    if (!doubt.empty() && doubts_.admit(clock_.now()))
-        note_("entity " + entity + " is not believed: " + doubt);
+    if (!doubted.empty()) log_.unaskedHolder(entity, doubted);
     if (late && !AXON_PLANTED(LateGrantLeft))
         settlement_.settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
@@ -665,9 +638,7 @@ void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view mes
         const bool whole = lane == Lane::Data && client.knows(head.entity);
         if (outbox.newEntityMsg(lane, head, message, whole ? QueueShare::Whole : QueueShare::OfSender))
             return;
-        if (doubts_.admit(clock_.now()))
-            note_("client " + client.me.name + " reads slowly, and entity " + head.entity +
-                  " sends it more than its share of the queue: left out");
+        log_.slowClient(client.me, head.entity);
     });
 }
 

@@ -13,11 +13,11 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "common/other_servers.hpp"
-#include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "common/snapshot_table.hpp"
+#include "front_end_server/clients/client_log.hpp"
 #include "front_end_server/clients/gone_clients.hpp"
 #include "front_end_server/clients/holdings.hpp"
 #include "front_end_server/clients/settlement.hpp"
@@ -134,9 +134,7 @@ class FrontEndCore {
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
     Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);
-    void noteExcess(const Client& client, const Refusal& refusal);
     void believe(const Client& client, const std::string& entity);
-    void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;
     void updateHolding(const std::string& holder);
@@ -167,7 +165,7 @@ class FrontEndCore {
     SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane
     Settlement settlement_;
 
-    RateLimit doubts_, excesses_;  // lines of the log about what entities and clients do
+    ClientLog log_;
 
     OtherServers others_;
     OtherServers::Group& entity_servers_;
