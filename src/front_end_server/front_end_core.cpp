@@ -24,8 +24,6 @@ Refusal refuse(RefusalCode code, std::string message) {
 }
 
 constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as much as a message
-constexpr auto kData = static_cast<std::size_t>(Lane::Data);
-constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
 
 }  // namespace
 
@@ -48,6 +46,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
                                    .reach = [this](const auto& servers) { topic_.reach(servers); },
                                    .left = [this](const auto& names) { serversLost(names); },
                                    .arrived = [this](const auto& name) { serverArrived(name); }})),
+      entities_(alone(), entity_servers_, clock),
       gone_(settings.clients_remembered) {}
 
 FrontEndCore::~FrontEndCore() = default;
@@ -112,12 +111,12 @@ Result<FrontEndCore::ClientRef> FrontEndCore::attach(const std::string& token,
 // first. Therefore again, until what was told is what is: the last word about each entity is then the true
 // one.
 std::size_t FrontEndCore::pushAll(ClientOutbox& to) {
-    Records told;
+    Entities::Records told;
     while (true) {
-        Records now;
+        Entities::Records now;
         {
             const std::lock_guard lock(mutex_);
-            now = records_;
+            now = entities_.records();
         }
         bool changed = false;
         for (const auto& [entity, record] : now) {
@@ -215,7 +214,7 @@ Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size
     if (!check_out && head.msg_type != kMsgWatch) return {};
     const bool for_itself = check_out && client.me.role != Role::Observer;
     const bool first = for_itself && !client.hasAsked(head.entity);
-    if (!client.asks(head.entity, for_itself, known_.find(head.entity, kData) != nullptr))
+    if (!client.asks(head.entity, for_itself, entities_.has(head.entity, Lane::Data)))
         return refuse(RefusalCode::NotConnected, "its session has ended");
     if (first) believe(client, head.entity);
     return {};
@@ -225,9 +224,9 @@ Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size
 void FrontEndCore::believe(const Client& client, const std::string& entity) {
     {
         const std::lock_guard lock(mutex_);
-        const auto known = records_.find(entity);
-        if (!holdings_.has(client.me.id, entity) || known == records_.end() ||
-            known->second->status.state != EntityState::BUSY || !holdings_.set(client.me.id, entity, true))
+        const auto known = entities_.find(entity);
+        if (!holdings_.has(client.me.id, entity) || !known || known->status.state != EntityState::BUSY ||
+            !holdings_.set(client.me.id, entity, true))
             return;
         updateHolding(client.me.id);
     }
@@ -237,32 +236,26 @@ void FrontEndCore::believe(const Client& client, const std::string& entity) {
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
     head.sender = client->me;
-    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
-    if (!alone() && !known) return refuseUnknown(*client->data, head);
+    const auto server = alone() ? nullptr : entities_.serverOf(head.entity, Lane::Data);
+    if (!alone() && !server) return refuseUnknown(*client->data, head);
     if (const auto may = mayGoOn(*client, head, message.size()); !may.ok()) {
         client->data->newRefusalMsg(head, may.refusal());
         return log_.excess(client->me, may.refusal());
     }
-    if (const auto sent = topic_.clientMsg(known ? known->registration.server : std::string(), head, message);
-        !sent.ok()) {
+    if (const auto sent = topic_.clientMsg(server ? *server : std::string(), head, message); !sent.ok()) {
         client->data->newRefusalMsg(head, sent.refusal());
         return;
     }
-    if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, known_.size());
+    if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, entities_.known());
 }
 
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
     head.sender = client->me;
-    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
+    const auto server = alone() ? nullptr : entities_.serverOf(head.entity, Lane::Data);
     // Droppable data of who may not send it is dropped without a word.
-    if ((!alone() && !known) || !mayGoOn(*client, head, data.size()).ok()) return;
-    topic_.clientMsgDataSeq(known ? known->registration.server : std::string(), head, data);
-    if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, known_.size());
-}
-
-std::size_t FrontEndCore::stopTargets(const std::string& entity) const {
-    if (entity.empty()) return known_.size();
-    return known_.find(entity, kSignal) ? 1 : 0;
+    if ((!alone() && !server) || !mayGoOn(*client, head, data.size()).ok()) return;
+    topic_.clientMsgDataSeq(server ? *server : std::string(), head, data);
+    if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, entities_.known());
 }
 
 void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCause cause) {
@@ -270,12 +263,12 @@ void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCaus
     // What only servers may say is not taken from a client.
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
-    if (cause == StopCause::Drill && drillsTooMuch(client, head, stopTargets(head.entity))) return;
+    if (cause == StopCause::Drill && drillsTooMuch(client, head, entities_.targets(head.entity))) return;
     topic_.stopSignal(head, cause);
-    const auto targets = stopTargets(head.entity);
+    const auto targets = entities_.targets(head.entity);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
     if (!alone() && targets == 0 && !head.entity.empty()) refuseUnknown(*client->signalOutbox(), head);
-    log_.audit(cause == StopCause::Drill ? "drill" : "stop", client->me, {head.entity}, known_.size());
+    log_.audit(cause == StopCause::Drill ? "drill" : "stop", client->me, {head.entity}, entities_.known());
     flooded(client);  // after the stop: also the last one of a flood is a stop
 }
 
@@ -293,7 +286,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
                  [&](const auto& entity) { return seen.insert(entity).second; });
     if (cause == StopCause::Drill && drillsTooMuch(client, head, wanted.size())) return;
     topic_.stopSignals(head, wanted, cause);
-    const auto known = [&](const std::string& entity) { return known_.find(entity, kSignal) != nullptr; };
+    const auto known = [&](const std::string& entity) { return entities_.has(entity, Lane::Signal); };
     const auto targets = std::count_if(wanted.begin(), wanted.end(), known);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
     if (entities.size() > kStopsAtOnce)
@@ -310,7 +303,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
             refuseUnknown(*client->signalOutbox(), refused);
         }
     }
-    log_.audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted, known_.size());
+    log_.audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted, entities_.known());
     // A longer list is for nobody's robots; each costs its sender a session.
     if (entities.size() > kStopsAtOnce)
         return leave(client, Ending::Improper,
@@ -321,14 +314,14 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
 void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
     topic_.resetSignal(head);
-    log_.audit("reset", client->me, {head.entity}, known_.size());
+    log_.audit("reset", client->me, {head.entity}, entities_.known());
     flooded(client);
 }
 
 void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
     topic_.clearSignal(head);
-    log_.audit("clear", client->me, {head.entity}, known_.size());
+    log_.audit("clear", client->me, {head.entity}, entities_.known());
     flooded(client);
 }
 
@@ -399,61 +392,20 @@ void FrontEndCore::updateHolding(const std::string& holder) {
 
 void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registration,
                                          std::string_view profile) {
-    bool told = true;
-    bool disputed = false;
-    RecordRef record;
+    std::optional<Entities::News> news;
     {
         const std::lock_guard lock(mutex_);
-        hearOf(registration.server);
-        const auto found = records_.find(registration.entity);
-        const bool of_another =
-            found != records_.end() && found->second->registration.server != registration.server;
-        if (presence == Presence::Left) {
-            if (found == records_.end() || of_another) return;
-            disputed = disputed_.contains(registration.entity);
-            record = takeOut(registration.entity);
-        } else if (of_another && presence == Presence::Changed) {
-            disputed_.insert(registration.entity);
-            return;
-        } else if (!alone() && entity_servers_.lost(registration.server)) {
-            return;  // late; should the server come back it is asked
-        } else if (found != records_.end() && found->second->registration == registration &&
-                   *found->second->profile == profile) {
-            told = false;  // published again for somebody else
-        } else {
-            const bool known = found != records_.end();
-            if (!alone()) entity_servers_.await(registration.server, clock_.now());
-            auto next = known ? std::make_shared<Record>(*found->second) : std::make_shared<Record>();
-            next->profile = std::make_shared<const std::string>(profile);
-            next->status.entity = registration.entity;
-            next->status.server = registration.server;
-            if (of_another) next->number = 0;  // that server counts for itself
-            next->registration = std::move(registration);
-            record = next;
-            countBusy(known ? found->second.get() : nullptr, record.get());
-            records_[record->registration.entity] = record;
-            presence = known ? Presence::Changed : Presence::Joined;
-            if (!known || of_another) known_.put(record->registration.entity, record);
-        }
+        news = entities_.update(presence, std::move(registration), profile);
+        if (!news) return;
+        if (news->presence == Presence::Left)
+            letGo(news->record->status.holder.id, news->record->registration.entity);
     }
-    if (!told) return;
-    const std::string_view bytes = presence == Presence::Left ? std::string_view() : *record->profile;
-    toClients(Lane::Data, {},
-              [&](ClientOutbox& client) { client.newBasicPrflMsg(presence, record->registration, bytes); });
-    if (disputed) ask({});
-}
-
-/// Under the mutex: an entity that has left.
-FrontEndCore::RecordRef FrontEndCore::takeOut(const std::string& entity) {
-    const auto found = records_.find(entity);
-    auto record = found->second;
-    const auto holder = record->status.holder.id;
-    records_.erase(found);
-    known_.erase(record->registration.entity);
-    disputed_.erase(record->registration.entity);
-    countBusy(record.get(), nullptr);
-    letGo(holder, record->registration.entity);
-    return record;
+    const auto& record = *news->record;
+    const std::string_view bytes = news->presence == Presence::Left ? std::string_view() : *record.profile;
+    toClients(Lane::Data, {}, [&](ClientOutbox& client) {
+        client.newBasicPrflMsg(news->presence, record.registration, bytes);
+    });
+    if (news->disputed) ask({});
 }
 
 /// Under the mutex: the entity names this holder no longer.
@@ -479,48 +431,22 @@ void FrontEndCore::ask(const std::string& server) {
     topic_.clientRequest(head);
 }
 
-/// Under the mutex: a registration or a status of this server has come.
-void FrontEndCore::hearOf(const std::string& server) {
-    if (!alone() && !server.empty()) missed_.heard(server);
-}
-
-/// Under the mutex.
-void FrontEndCore::countBusy(const Record* before, const Record* now) {
-    if (alone()) return;
-    const auto keeps = [](const Record* record) {
-        return record != nullptr && record->status.state == EntityState::BUSY ? record->registration.server
-                                                                              : std::string();
-    };
-    entity_servers_.moveTask(keeps(before), keeps(now), clock_.now());
-}
-
-void FrontEndCore::tellLeft(const std::vector<RecordRef>& records) {
-    for (const auto& record : records) {
+void FrontEndCore::forget(const std::string& server, const std::unordered_set<std::string>& but) {
+    Entities::Left left;
+    {
+        const std::lock_guard lock(mutex_);
+        left = entities_.forget(server, but);
+        for (const auto& record : left.records) letGo(record->status.holder.id, record->registration.entity);
+    }
+    for (const auto& record : left.records) {
         toClients(Lane::Data, {}, [&](ClientOutbox& client) {
             client.newBasicPrflMsg(Presence::Left, record->registration, {});
         });
     }
-}
-
-void FrontEndCore::forget(const std::string& server, const std::unordered_set<std::string>& but) {
-    std::vector<RecordRef> left;
-    bool disputed = false;
-    {
-        const std::lock_guard lock(mutex_);
-        std::vector<std::string> gone;
-        for (const auto& [entity, record] : records_) {
-            if (record->registration.server == server && !but.contains(entity)) gone.push_back(entity);
-        }
-        for (const auto& entity : gone) {
-            disputed = disputed || disputed_.contains(entity);
-            left.push_back(takeOut(entity));
-        }
-    }
-    tellLeft(left);
-    if (disputed) ask({});
-    if (!left.empty()) {
-        note_("entity server " + server + ": " + std::to_string(left.size()) +
-              (left.size() == 1 ? " entity is" : " entities are") + " gone");
+    if (left.disputed) ask({});
+    if (const auto gone = left.records.size(); gone > 0) {
+        note_("entity server " + server + ": " + std::to_string(gone) +
+              (gone == 1 ? " entity is" : " entities are") + " gone");
     }
 }
 
@@ -528,7 +454,7 @@ void FrontEndCore::entityServerEntities(const std::string& server, const std::ve
     if (alone() || !isServerName(server)) return;
     {
         const std::lock_guard lock(mutex_);
-        missed_.answered(server);
+        entities_.missed().answered(server);
     }
     forget(server, {entities.begin(), entities.end()});
 }
@@ -539,7 +465,7 @@ void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& serve
     if (lane == Lane::Signal || !isServerName(server.name)) return;
     {
         const std::lock_guard lock(mutex_);
-        if (!missed_.announced(server.name, server.published, clock_.now())) return;
+        if (!entities_.missed().announced(server.name, server.published, clock_.now())) return;
     }
     ask(server.name);  // something of it was lost on the way, or it was there first
 }
@@ -548,7 +474,7 @@ void FrontEndCore::topicFound() {
     topic_.frontEndServerUpdate(Lane::Data, others_.self());
     {
         const std::lock_guard lock(mutex_);
-        missed_.askedAll(clock_.now());
+        entities_.missed().askedAll(clock_.now());
     }
     ask({});
 }
@@ -563,7 +489,7 @@ void FrontEndCore::serversLost(const std::vector<std::string>& names) {
 void FrontEndCore::serverArrived(const std::string& name) {
     {
         const std::lock_guard lock(mutex_);
-        missed_.asked(name, clock_.now());
+        entities_.missed().asked(name, clock_.now());
     }
     ask(name);
 }
@@ -574,30 +500,11 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     std::string entity, doubted;
     {
         const std::lock_guard lock(mutex_);
-        if (via == Via::Topic) hearOf(status.server);
-        const auto found = records_.find(status.entity);
-        if (found == records_.end()) return;
-        if (found->second->registration.server != status.server) {
-            if (found->second->status != status) disputed_.insert(status.entity);
-            return;
-        }
-        if (number != 0 && number <= found->second->number) return;
-        if (found->second->heard && found->second->status == status) {
-            if (number == 0) return;
-            auto same = std::make_shared<Record>(*found->second);
-            same->number = number;
-            found->second = std::move(same);
-            return;
-        }
+        const auto news = entities_.update(status, number, via);
+        if (!news) return;
         entity = status.entity;
-        const auto before = found->second->status.holder.id;
-        const auto holder = status.holder.id;
-        auto next = std::make_shared<Record>(*found->second);
-        next->status = status;
-        next->heard = true;
-        next->number = number;
-        countBusy(found->second.get(), next.get());
-        found->second = std::move(next);
+        const auto& before = news->before->status.holder.id;
+        const auto& holder = status.holder.id;
         if (before != holder) letGo(before, entity);
         if (!holder.empty()) {
             const auto client = clients_.find(holder);
@@ -624,10 +531,10 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
         if (number == 0) return;
         const std::lock_guard lock(mutex_);
-        const auto found = records_.find(entity);
-        if (found == records_.end() || found->second->number <= number) return;
-        status = found->second->status;
-        number = found->second->number;
+        const auto newest = entities_.find(entity);
+        if (!newest || newest->number <= number) return;
+        status = newest->status;
+        number = newest->number;
     }
 }
 
@@ -715,7 +622,7 @@ std::size_t FrontEndCore::clients() const {
 
 std::size_t FrontEndCore::entities() const {
     const std::lock_guard lock(mutex_);
-    return records_.size();
+    return entities_.records().size();
 }
 
 }  // namespace axon::front_end_server

@@ -21,7 +21,7 @@
 #include "front_end_server/clients/gone_clients.hpp"
 #include "front_end_server/clients/holdings.hpp"
 #include "front_end_server/clients/settlement.hpp"
-#include "front_end_server/entities/missed_news.hpp"
+#include "front_end_server/entities/entities.hpp"
 #include "front_end_server/ports/core_settings.hpp"
 #include "front_end_server/ports/ports.hpp"
 
@@ -117,16 +117,6 @@ class FrontEndCore {
     const FrontEndCoreSettings& settings() const { return settings_; }
 
   private:
-    struct Record {
-        Registration registration;
-        std::shared_ptr<const std::string> profile;
-        EntityStatus status;
-        bool heard = false;       // the status: it comes after the profile
-        std::int64_t number = 0;  // of the status, as its server counts
-    };
-    using RecordRef = std::shared_ptr<const Record>;
-    using Records = std::unordered_map<std::string, RecordRef>;
-
     template <class Send>
     void eachOf(Lane lane, const std::string& recipient, Send&& send);
     template <class Send>
@@ -136,7 +126,6 @@ class FrontEndCore {
     Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);
     void believe(const Client& client, const std::string& entity);
     std::size_t pushAll(ClientOutbox& to);
-    std::size_t stopTargets(const std::string& entity) const;
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
     bool isOurs(const std::string& client) const {
@@ -144,12 +133,8 @@ class FrontEndCore {
     }
     void refuseUnknown(ClientOutbox& to, const Header& head) const;
     void ask(const std::string& server);
-    void hearOf(const std::string& server);
-    void countBusy(const Record* before, const Record* now);
-    RecordRef takeOut(const std::string& entity);
     void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
-    void tellLeft(const std::vector<RecordRef>& records);
     void serversLost(const std::vector<std::string>& names);
     void serverArrived(const std::string& name);
 
@@ -162,23 +147,19 @@ class FrontEndCore {
     GlobalServicesPort* const global_services_;
 
     SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
-    SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane
     Settlement settlement_;
 
     ClientLog log_;
 
     OtherServers others_;
     OtherServers::Group& entity_servers_;
+    Entities entities_;  // guarded by mutex_, but for what routing needs
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
     std::unordered_map<std::string, ClientRef> clients_;
     std::unordered_map<std::string, std::weak_ptr<Client>> tokens_;
-    Records records_;
     Holdings holdings_;
-    MissedNews missed_;
-    // Entities that another server than the record's has spoken of; when that one lets go, it is asked.
-    std::unordered_set<std::string> disputed_;
     GoneClients gone_;
 };
 

@@ -3,14 +3,17 @@
 
 #include <string_view>
 #include <unordered_set>
+#include <utility>
 
 #include "common/neighbours.hpp"
 
 namespace axon::entity_server {
 
 std::shared_ptr<const std::string> EntitiesElsewhere::serverOf(const std::string& entity, Lane lane) const {
-    const auto place = places_.find(entity, static_cast<std::size_t>(lane));
-    return place ? std::shared_ptr<const std::string>(place, &place->server) : nullptr;
+    auto place = places_.find(entity, static_cast<std::size_t>(lane));
+    if (!place) return nullptr;
+    const auto* server = &place->server;
+    return {std::move(place), server};
 }
 
 void EntitiesElsewhere::learn(const std::string& server, const std::vector<std::string>& entities) {
