@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <iterator>
 #include <mutex>
+#include <optional>
 #include <string_view>
 #include <unordered_set>
 #include <utility>
@@ -25,6 +26,12 @@ Refusal refuse(RefusalCode code, std::string message) {
 
 constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as much as a message
 
+void refuseUnknown(ClientOutbox& to, const Header& head) {
+    to.newRefusalMsg(
+        head, refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
+                                                     " is connected; 'axon ls' shows those that are there"));
+}
+
 }  // namespace
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -44,8 +51,14 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       entity_servers_(others_.add({.name = "entity server",
                                    .timeouts = settings.entity_servers,
                                    .reach = [this](const auto& servers) { topic_.reach(servers); },
-                                   .left = [this](const auto& names) { serversLost(names); },
-                                   .arrived = [this](const auto& name) { serverArrived(name); }})),
+                                   .left =
+                                       [this](const auto& names) {
+                                           for (const auto& name : names) {
+                                               note_("entity server " + name + " is gone");
+                                               forget(name, {});
+                                           }
+                                       },
+                                   .arrived = [this](const auto& name) { askArrived(name); }})),
       entities_(alone(), entity_servers_, clock),
       gone_(settings.clients_remembered) {}
 
@@ -82,9 +95,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
                                           settings_, clock_.now());
-        clients_.emplace(client->me.id, client);
-        tokens_.emplace(client->token, client);
-        table_.put(client->me.id, client);
+        clients_.add(client);
     }
     wake_();
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
@@ -95,14 +106,12 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
 Result<FrontEndCore::ClientRef> FrontEndCore::attach(const std::string& token,
                                                      std::shared_ptr<ClientOutbox> signal) {
     const std::lock_guard lock(mutex_);
-    const auto found = tokens_.find(token);
-    auto client = found == tokens_.end() ? nullptr : found->second.lock();
-    if (!client || client->gone) {
+    auto client = clients_.takeToken(token);
+    if (!client) {
         return refuse(RefusalCode::NotConnected,
                       "no session waits for this token (it is for one use); open a new session and set its "
                       "callback first");
     }
-    tokens_.erase(found);
     client->signal.store(std::make_shared<const std::shared_ptr<ClientOutbox>>(std::move(signal)));
     return client;
 }
@@ -335,11 +344,9 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
         const std::lock_guard lock(mutex_);
         if (client->gone) return;
         client->gone = true;
-        clients_.erase(client->me.id);
-        tokens_.erase(client->token);
+        clients_.remove(client);
         held = holdings_.of(client->me.id);
         gone_.remember(client->me, ending);
-        table_.erase(client->me.id);
     }
     settlement_.settle(client->me, ending, held);
     // Whom else it asked: it waits for none of them any more, and watches nothing.
@@ -357,32 +364,15 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
 }
 
 template <class Send>
-void FrontEndCore::eachOf(Lane lane, const std::string& recipient, Send&& send) {
-    const auto its_lane = static_cast<std::size_t>(lane);
-    const auto to = [&](const ClientRef& client) {
-        if (lane == Lane::Signal) {
-            send(*client, *client->signalOutbox());
-        } else {
-            send(*client, *client->data);
-        }
-    };
-    if (recipient.empty()) {
-        table_.each(to, its_lane);
-    } else if (const auto client = table_.find(recipient, its_lane)) {
-        to(client);
-    }
-}
-
-template <class Send>
 void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& send) {
-    eachOf(lane, recipient, [&](const Client&, ClientOutbox& outbox) { send(outbox); });
+    clients_.to(lane, recipient, [&](const Client&, ClientOutbox& outbox) { send(outbox); });
 }
 
 void FrontEndCore::updateHolding(const std::string& holder) {
     const auto client = clients_.find(holder);
-    if (client == clients_.end()) return;
+    if (!client) return;
     const bool busy = holdings_.busy(holder);
-    auto& watched = *client->second;
+    auto& watched = *client;
     const auto now = clock_.now();
     watched.listen();
     if (busy && !watched.watchdog.busy()) watched.next_heartbeat = now;
@@ -411,16 +401,9 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
 /// Under the mutex: the entity names this holder no longer.
 void FrontEndCore::letGo(const std::string& holder, const std::string& entity) {
     if (holder.empty()) return;
-    if (const auto client = clients_.find(holder); client != clients_.end())
-        client->second->setHolds(entity, false);
+    if (const auto client = clients_.find(holder)) client->setHolds(entity, false);
     holdings_.erase(holder, entity);
     updateHolding(holder);
-}
-
-void FrontEndCore::refuseUnknown(ClientOutbox& to, const Header& head) const {
-    to.newRefusalMsg(
-        head, refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
-                                                     " is connected; 'axon ls' shows those that are there"));
 }
 
 /// STATUS of this server, empty = all.
@@ -470,6 +453,14 @@ void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& serve
     ask(server.name);  // something of it was lost on the way, or it was there first
 }
 
+void FrontEndCore::askArrived(const std::string& name) {
+    {
+        const std::lock_guard lock(mutex_);
+        entities_.missed().asked(name, clock_.now());
+    }
+    ask(name);
+}
+
 void FrontEndCore::topicFound() {
     topic_.frontEndServerUpdate(Lane::Data, others_.self());
     {
@@ -477,21 +468,6 @@ void FrontEndCore::topicFound() {
         entities_.missed().askedAll(clock_.now());
     }
     ask({});
-}
-
-void FrontEndCore::serversLost(const std::vector<std::string>& names) {
-    for (const auto& name : names) {
-        note_("entity server " + name + " is gone");
-        forget(name, {});
-    }
-}
-
-void FrontEndCore::serverArrived(const std::string& name) {
-    {
-        const std::lock_guard lock(mutex_);
-        entities_.missed().asked(name, clock_.now());
-    }
-    ask(name);
 }
 
 void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via via) {
@@ -507,13 +483,12 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         const auto& holder = status.holder.id;
         if (before != holder) letGo(before, entity);
         if (!holder.empty()) {
-            const auto client = clients_.find(holder);
-            if (client != clients_.end()) {
+            if (const auto client = clients_.find(holder)) {
                 // An entity that names a client which never asked for it is told of its end like any other,
                 // but does not decide how often that client must beat.
-                const bool asked = client->second->hasAsked(entity) || AXON_PLANTED(UnaskedHolderBelieved);
-                if (!asked && before != holder) doubted = client->second->me.name;
-                client->second->setHolds(entity, true);
+                const bool asked = client->hasAsked(entity) || AXON_PLANTED(UnaskedHolderBelieved);
+                if (!asked && before != holder) doubted = client->me.name;
+                client->setHolds(entity, true);
                 if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
             } else if (before != holder && !status.orphaned && isOurs(holder)) {
                 // Granted to a client that was gone before the grant was known here, however long ago.
@@ -539,7 +514,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
 }
 
 void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
-    eachOf(lane, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {
+    clients_.to(lane, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {
         // An entity that a client has asked has its whole queue of the data lane: what that one sends it must
         // read. On the signal lane nobody waits for the lock of that.
         const bool whole = lane == Lane::Data && client.knows(head.entity);
@@ -568,7 +543,7 @@ TimePoint FrontEndCore::onTimer() {
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
         next = now + std::chrono::seconds{1};
-        for (const auto& [id, client] : clients_) {
+        for (const auto& [id, client] : clients_.byId()) {
             client->listen();
             if (client->watchdog.expired(now)) {
                 silent.emplace_back(client, client->watchdog.timeout());
@@ -601,7 +576,7 @@ TimePoint FrontEndCore::onTimer() {
 }
 
 void FrontEndCore::shutDown() {
-    table_.each([](const ClientRef& client) {
+    clients_.each([](const ClientRef& client) {
         client->data->newUpdateMsg(RefusalCode::Unavailable, "the server is shutting down");
     });
 }
@@ -609,7 +584,7 @@ void FrontEndCore::shutDown() {
 std::vector<std::string> FrontEndCore::margins() const {
     std::vector<std::string> lines;
     const auto now = clock_.now();
-    table_.each([&](const ClientRef& client) {
+    clients_.each([&](const ClientRef& client) {
         lines.push_back("client " + client->me.name + ": " + describe(client->signs.longest(now)));
     });
     return lines;

@@ -3,10 +3,8 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <string_view>
-#include <unordered_map>
 #include <unordered_set>
 #include <vector>
 
@@ -15,9 +13,8 @@
 #include "common/other_servers.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
-#include "common/snapshot.hpp"
-#include "common/snapshot_table.hpp"
 #include "front_end_server/clients/client_log.hpp"
+#include "front_end_server/clients/clients.hpp"
 #include "front_end_server/clients/gone_clients.hpp"
 #include "front_end_server/clients/holdings.hpp"
 #include "front_end_server/clients/settlement.hpp"
@@ -30,8 +27,6 @@ namespace axon::front_end_server {
 /// The most entities that one list of stops may name. A stop goes to the first of a longer one, and its
 /// sender's session ends.
 inline constexpr std::size_t kStopsAtOnce = 8192;
-
-class Client;
 
 /// The clients and their check-outs, and the front-end's copy of what entities there are (thesis:
 /// ClientMonitor), without its sockets.
@@ -58,7 +53,7 @@ class Client;
 /// nothing throws.
 class FrontEndCore {
   public:
-    using ClientRef = std::shared_ptr<Client>;
+    using ClientRef = front_end_server::ClientRef;
     using Note = std::function<void(const std::string& line)>;
 
     /// `global_services`: null where there are none.
@@ -118,8 +113,6 @@ class FrontEndCore {
 
   private:
     template <class Send>
-    void eachOf(Lane lane, const std::string& recipient, Send&& send);
-    template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
@@ -131,12 +124,10 @@ class FrontEndCore {
     bool isOurs(const std::string& client) const {
         return alone() || originOf(client).server == settings_.name;
     }
-    void refuseUnknown(ClientOutbox& to, const Header& head) const;
     void ask(const std::string& server);
+    void askArrived(const std::string& name);
     void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
-    void serversLost(const std::vector<std::string>& names);
-    void serverArrived(const std::string& name);
 
     const FrontEndCoreSettings settings_;
     const Clock& clock_;
@@ -146,19 +137,18 @@ class FrontEndCore {
     const std::function<void()> wake_;
     GlobalServicesPort* const global_services_;
 
-    SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
     Settlement settlement_;
 
     ClientLog log_;
 
     OtherServers others_;
     OtherServers::Group& entity_servers_;
-    Entities entities_;  // guarded by mutex_, but for what routing needs
+    // Guarded by mutex_, but for what routing needs:
+    Clients clients_;
+    Entities entities_;
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
-    std::unordered_map<std::string, ClientRef> clients_;
-    std::unordered_map<std::string, std::weak_ptr<Client>> tokens_;
     Holdings holdings_;
     GoneClients gone_;
 };
