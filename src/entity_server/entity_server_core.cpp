@@ -329,7 +329,7 @@ void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header
         return;
     }
     head.entity = session->entity;
-    if (const auto may = session->limits.toClient(lane, message, clock_.now()); !may.ok())
+    if (const auto may = session->limits.toClient(lane, message, clock_); !may.ok())
         return session->outbox(lane).newRefusalMsg(head, may.refusal());
     topic_.entityMsg(lane, head, message);
 }
@@ -343,7 +343,7 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head,
                                   std::string_view message) {
     if (!session->registered || flooded(session)) return;
-    if (const auto may = session->limits.toPeer(lane, head, message, clock_.now()); !may.ok())
+    if (const auto may = session->limits.toPeer(lane, head, message, clock_); !may.ok())
         return session->outbox(lane).newRefusalMsg(head, may.refusal());
     head.sender = {session->entity, *session->name.load(), Role::Operator};
     if (const auto peer = table_.find(head.entity, index(lane))) {

@@ -12,8 +12,8 @@
 #include "common/life_signs.hpp"
 #include "common/planted_bug.hpp"
 #include "common/queue_share.hpp"
-#include "common/rights.hpp"
 #include "common/utf8.hpp"
+#include "front_end_server/clients/admission.hpp"
 #include "front_end_server/clients/client.hpp"
 
 namespace axon::front_end_server {
@@ -58,7 +58,14 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
                                                forget(name, {});
                                            }
                                        },
-                                   .arrived = [this](const auto& name) { askArrived(name); }})),
+                                   .arrived =
+                                       [this](const auto& name) {
+                                           {
+                                               const std::lock_guard lock(mutex_);
+                                               entities_.missed().asked(name, clock_.now());
+                                           }
+                                           ask(name);
+                                       }})),
       entities_(alone(), entity_servers_, clock),
       gone_(settings.clients_remembered) {}
 
@@ -199,47 +206,21 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
                                                     "'; expected STATUS or GLOBAL_SERVICES"));
 }
 
-/// What the server decides about a message to an entity. Also notes of which entities the client asks
-/// what they remember: their Entity Managers take a check-out and a watch under these two msgTypes alone.
 Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) {
-    if (!clientsMaySend(head.msg_type))
-        return refuse(RefusalCode::PermissionDenied,
-                      head.msg_type + (entitiesMaySend(head.msg_type)
-                                           ? " is what entities say to each other; ask their master by RUN"
-                                           : " is for the server itself: use sendRequest"));
-    if (!client.holds(head.entity)) {
-        // Who has asked for it may have the grant before this server has the status that tells of it.
-        if (bytes > kStrangersBytes && !client.hasAsked(head.entity))
-            return refuse(RefusalCode::TooLarge,
-                          "a message of more than " + std::to_string(kStrangersBytes / 1024) +
-                              " KiB is taken only of who holds the entity; check it out first");
-        if (!client.bytes.admit(clock_.now(), static_cast<std::uint32_t>(bytes)))
-            return refuse(RefusalCode::Overloaded, "more than " +
-                                                       std::to_string(kStrangersBytesPerSecond / 1024) +
-                                                       " KiB in a second to entities that it does not hold "
-                                                       "are taken of nobody; send less, or check them out");
-    }
-    const bool check_out = head.msg_type == kMsgCheckOut;
-    if (!check_out && head.msg_type != kMsgWatch) return {};
-    const bool for_itself = check_out && client.me.role != Role::Observer;
-    const bool first = for_itself && !client.hasAsked(head.entity);
-    if (!client.asks(head.entity, for_itself, entities_.has(head.entity, Lane::Data)))
-        return refuse(RefusalCode::NotConnected, "its session has ended");
-    if (first) believe(client, head.entity);
-    return {};
-}
-
-/// From now on the entity may name this client as its busy holder; it may have done so before.
-void FrontEndCore::believe(const Client& client, const std::string& entity) {
+    const auto first_check_out = admit(client, head, bytes, entities_, clock_);
+    if (!first_check_out.ok()) return first_check_out.refusal();
+    if (!first_check_out.value()) return {};
     {
+        // From now on the entity may name this client as its busy holder; it may have done so before.
         const std::lock_guard lock(mutex_);
-        const auto known = entities_.find(entity);
-        if (!holdings_.has(client.me.id, entity) || !known || known->status.state != EntityState::BUSY ||
-            !holdings_.set(client.me.id, entity, true))
-            return;
+        const auto known = entities_.find(head.entity);
+        if (!holdings_.has(client.me.id, head.entity) || !known || known->status.state != EntityState::BUSY ||
+            !holdings_.set(client.me.id, head.entity, true))
+            return {};
         updateHolding(client.me.id);
     }
     wake_();
+    return {};
 }
 
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
@@ -453,14 +434,6 @@ void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& serve
     ask(server.name);  // something of it was lost on the way, or it was there first
 }
 
-void FrontEndCore::askArrived(const std::string& name) {
-    {
-        const std::lock_guard lock(mutex_);
-        entities_.missed().asked(name, clock_.now());
-    }
-    ask(name);
-}
-
 void FrontEndCore::topicFound() {
     topic_.frontEndServerUpdate(Lane::Data, others_.self());
     {
@@ -490,7 +463,8 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
                 if (!asked && before != holder) doubted = client->me.name;
                 client->setHolds(entity, true);
                 if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
-            } else if (before != holder && !status.orphaned && isOurs(holder)) {
+            } else if (before != holder && !status.orphaned &&
+                       (alone() || originOf(holder).server == settings_.name)) {
                 // Granted to a client that was gone before the grant was known here, however long ago.
                 late = gone_.find(status.holder);
             }

@@ -117,15 +117,10 @@ class FrontEndCore {
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
     Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);
-    void believe(const Client& client, const std::string& entity);
     std::size_t pushAll(ClientOutbox& to);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
-    bool isOurs(const std::string& client) const {
-        return alone() || originOf(client).server == settings_.name;
-    }
     void ask(const std::string& server);
-    void askArrived(const std::string& name);
     void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
 

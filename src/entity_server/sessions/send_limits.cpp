@@ -7,9 +7,9 @@
 
 namespace axon::entity_server {
 
-bool SendLimits::tooMuchSignal(std::string_view message, TimePoint now) {
+bool SendLimits::tooMuchSignal(std::string_view message, const Clock& clock) {
     return message.size() > kSignalBytes ||
-           !signal_bytes_.admit(now, static_cast<std::uint32_t>(message.size() + kSignalOverhead));
+           !signal_bytes_.admit(clock.now(), static_cast<std::uint32_t>(message.size() + kSignalOverhead));
 }
 
 Refusal SendLimits::tooMuchOnSignalLane() {
@@ -19,12 +19,12 @@ Refusal SendLimits::tooMuchOnSignalLane() {
             {}};
 }
 
-Result<void> SendLimits::toClient(Lane lane, std::string_view message, TimePoint now) {
-    if (lane == Lane::Signal && tooMuchSignal(message, now)) return tooMuchOnSignalLane();
+Result<void> SendLimits::toClient(Lane lane, std::string_view message, const Clock& clock) {
+    if (lane == Lane::Signal && tooMuchSignal(message, clock)) return tooMuchOnSignalLane();
     return {};
 }
 
-Result<void> SendLimits::toPeer(Lane lane, const Header& head, std::string_view message, TimePoint now) {
+Result<void> SendLimits::toPeer(Lane lane, const Header& head, std::string_view message, const Clock& clock) {
     if (!entitiesMaySend(head.msg_type)) {
         return Refusal{RefusalCode::PermissionDenied,
                        "an entity sends other entities COLLABORATION and RAW only, found '" +
@@ -32,14 +32,15 @@ Result<void> SendLimits::toPeer(Lane lane, const Header& head, std::string_view 
                        {}};
     }
     const bool raw = head.msg_type == kMsgRaw;
-    if (lane == Lane::Signal && (raw || tooMuchSignal(message, now))) return tooMuchOnSignalLane();
+    if (lane == Lane::Signal && (raw || tooMuchSignal(message, clock))) return tooMuchOnSignalLane();
     if (message.size() > kPeerBytes) {
         return Refusal{RefusalCode::TooLarge,
                        "an entity sends other entities at most " + std::to_string(kPeerBytes / 1024) +
                            " KiB in a message",
                        {}};
     }
-    if (lane == Lane::Data && !raw && !peer_bytes_.admit(now, static_cast<std::uint32_t>(message.size()))) {
+    if (lane == Lane::Data && !raw &&
+        !peer_bytes_.admit(clock.now(), static_cast<std::uint32_t>(message.size()))) {
         return Refusal{RefusalCode::Overloaded,
                        "an entity sends other entities at most " +
                            std::to_string(kPeerBytesPerSecond / 1024) +

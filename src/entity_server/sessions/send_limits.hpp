@@ -23,8 +23,8 @@ class SendLimits {
 
     /// False: it floods the server.
     bool admit(TimePoint now) { return messages_.admit(now); }
-    Result<void> toClient(Lane lane, std::string_view message, TimePoint now);
-    Result<void> toPeer(Lane lane, const Header& head, std::string_view message, TimePoint now);
+    Result<void> toClient(Lane lane, std::string_view message, const Clock& clock);
+    Result<void> toPeer(Lane lane, const Header& head, std::string_view message, const Clock& clock);
 
   private:
     // Of one entity for all others, of messages of runs: in one what a step may give back, which is a frame
@@ -37,7 +37,7 @@ class SendLimits {
     static constexpr std::uint32_t kSignalBytesPerSecond = 1024 * 1024U;
     static constexpr std::size_t kSignalOverhead = 64;  // of each
 
-    bool tooMuchSignal(std::string_view message, TimePoint now);
+    bool tooMuchSignal(std::string_view message, const Clock& clock);
     static Refusal tooMuchOnSignalLane();
 
     RateLimit messages_;

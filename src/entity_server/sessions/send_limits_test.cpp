@@ -18,7 +18,7 @@ class SendLimitsTest : public testing::Test {
     RefusalCode toPeer(Lane lane, const char* msg_type, std::size_t bytes) {
         Header head;
         head.msg_type = msg_type;
-        const auto may = limits.toPeer(lane, head, std::string(bytes, 'x'), clock.now());
+        const auto may = limits.toPeer(lane, head, std::string(bytes, 'x'), clock);
         return may.ok() ? kGoesOn : may.refusal().code;
     }
     static constexpr auto kGoesOn = RefusalCode{};
@@ -56,10 +56,10 @@ TEST_F(SendLimitsTest, ASignalLaneTakesLittleOfAnEntityWhoeverItIsFor) {
     EXPECT_EQ(toPeer(Lane::Signal, kMsgCollaboration, 16 * kKiB + 1), RefusalCode::Overloaded);
     const std::string large(16 * kKiB, 'x');
     int taken = 0;
-    while (limits.toClient(Lane::Signal, large, clock.now()).ok()) ++taken;
+    while (limits.toClient(Lane::Signal, large, clock).ok()) ++taken;
     EXPECT_EQ(taken, 64) << "a mebibyte in a second";
     EXPECT_EQ(toPeer(Lane::Signal, kMsgCollaboration, 0), RefusalCode::Overloaded) << "and no more";
-    EXPECT_TRUE(limits.toClient(Lane::Data, std::string(2048 * kKiB, 'x'), clock.now()).ok());
+    EXPECT_TRUE(limits.toClient(Lane::Data, std::string(2048 * kKiB, 'x'), clock).ok());
 }
 
 }  // namespace
