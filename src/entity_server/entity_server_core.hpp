@@ -64,12 +64,14 @@ struct EntityServerCoreSettings {
 /// entity sends another finds its way by that, or is refused, and an entity that another living server has is
 /// refused as a duplicate (unless both join within the 50 ms until that is told).
 ///
-/// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status; of
-/// each that is elsewhere: UUID → entity server. Payloads are opaque. Threads: any, concurrently; calls for
-/// one lane of one session come one after the other. Routing reads immutable tables, of which each lane has
-/// its own reference; the registry's mutex is taken when entities join, change and leave and by the timer,
-/// never by a message, a signal or a sign of life. Failure: refusals are returned or sent back; nothing
-/// throws.
+/// Parts: the registry of sessions is here; what others are told (Publisher), Drills, EntitiesElsewhere and
+/// the answers for what is Undelivered have their own state. Payloads are opaque.
+///
+/// Threads: any, concurrently; calls for one lane of one session come one after the other. Routing reads
+/// immutable tables, of which each lane has its own reference; the registry's mutex is taken when entities
+/// join, change and leave and by the timer, never by a message, a signal or a sign of life. The mutexes of
+/// Publisher and Neighbours may be taken while it is held, and no other. Failure: refusals are returned or
+/// sent back; nothing throws.
 class EntityServerCore {
   public:
     class Session;

@@ -46,6 +46,9 @@ inline constexpr std::size_t kStopsAtOnce = 8192;
 /// whole. An entity belongs to the server that announced its joining last. As it knows all entities it
 /// refuses what is for none; a stop is passed on all the same.
 ///
+/// Parts: Clients, Entities, Holdings and GoneClients have its state; Settlement tells entities that a client
+/// is gone, and ClientLog people what clients do.
+///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
 /// reference; the mutex is taken for joins, statuses, leaves, a client's first check-out of an entity and by
