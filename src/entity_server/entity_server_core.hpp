@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <atomic>
-#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -19,7 +18,11 @@
 #include "common/routed.hpp"
 #include "common/snapshot_table.hpp"
 #include "common/watchdog.hpp"
-#include "entity_server/ports.hpp"
+#include "entity_server/drills/drills.hpp"
+#include "entity_server/ports/ports.hpp"
+#include "entity_server/publishing/publisher.hpp"
+#include "entity_server/routing/entities_elsewhere.hpp"
+#include "entity_server/routing/undelivered.hpp"
 
 namespace axon::entity_server {
 
@@ -42,8 +45,8 @@ struct EntityServerCoreSettings {
 /// Where in the flow: between the Entity Managers (EntityOutbox, EntitySessionServant) and the front-end
 /// servers (FrontEndTopic, FrontEndToEntityServant). An event goes in as one call; effects leave through the
 /// ports before it returns, except that publications about one entity may be made by another thread that is
-/// publishing already, and those of an entity that leaves are made by publishPending(): it may leave on a
-/// thread of the signal lane or the heartbeats' timer, neither of which may be delayed.
+/// publishing already (Publisher), and those of an entity that leaves are made by publishPending(): it may
+/// leave on a thread of the signal lane or the heartbeats' timer, neither of which may be delayed.
 ///
 /// Drills: the core measures by itself how long a stop takes. In each `drill_period` every entity gets one
 /// stop of cause Drill on its signal lane, spread over the period, but for those that are latched or have no
@@ -61,12 +64,14 @@ struct EntityServerCoreSettings {
 /// entity sends another finds its way by that, or is refused, and an entity that another living server has is
 /// refused as a duplicate (unless both join within the 50 ms until that is told).
 ///
-/// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status; of
-/// each that is elsewhere: UUID → entity server. Payloads are opaque. Threads: any, concurrently; calls for
-/// one lane of one session come one after the other. Routing reads immutable tables, of which each lane has
-/// its own reference; the registry's mutex is taken when entities join, change and leave and by the timer,
-/// never by a message, a signal or a sign of life. Failure: refusals are returned or sent back; nothing
-/// throws.
+/// Parts: the registry of sessions is here; what others are told (Publisher), Drills, EntitiesElsewhere and
+/// the answers for what is Undelivered have their own state. Payloads are opaque.
+///
+/// Threads: any, concurrently; calls for one lane of one session come one after the other. Routing reads
+/// immutable tables, of which each lane has its own reference; the registry's mutex is taken when entities
+/// join, change and leave and by the timer, never by a message, a signal or a sign of life. The mutexes of
+/// Publisher and Neighbours may be taken while it is held, and no other. Failure: refusals are returned or
+/// sent back; nothing throws.
 class EntityServerCore {
   public:
     class Session;
@@ -137,24 +142,6 @@ class EntityServerCore {
     std::vector<std::string> margins() const;
 
   private:
-    /// What the front-end servers know of an entity, replaced whole.
-    struct Record {
-        Registration registration;
-        std::shared_ptr<const std::string> profile;
-        EntityStatus status;
-        bool heard = false;  ///< the status is one that it has sent
-        std::uint64_t session = 0;
-    };
-    using RecordRef = std::shared_ptr<const Record>;
-    struct Elsewhere {
-        std::string entity;
-        std::string server;
-    };
-    using ElsewhereRef = std::shared_ptr<const Elsewhere>;
-    struct Drill {
-        TimePoint answer_by;
-        std::weak_ptr<Session> session;
-    };
     struct Due {
         TimePoint at;
         std::uint64_t revision;
@@ -164,40 +151,14 @@ class EntityServerCore {
 
     template <class Send>
     void toEntities(const Header& head, Send&& send);
-    void refuseUnknown(Lane lane, const Header& head, Via via = Via::Topic);
-    SessionRef atHome(const std::string& entity, Lane lane) const {
-        return table_.find(entity, static_cast<std::size_t>(lane));
-    }
-    ElsewhereRef elsewhere(const std::string& entity, Lane lane) const {
-        return elsewhere_.find(entity, static_cast<std::size_t>(lane));
-    }
-    void learn(const std::string& server, const std::vector<std::string>& entities);
-    bool refusedLately(const std::string& sender);
-    void refuseSlow(Lane lane, const Header& head);
-    void refuseAllSlow(const Header& head, const std::vector<std::string>& slow);
-    void noteSlow(const Header& head);
     bool flooded(const SessionRef& session);
-    bool tooMuchSignal(Session& session, std::string_view message);
     void schedule(const SessionRef& session, TimePoint at);
-    void leaveToPublisher(const std::string& entity);
-    void putInQueue(const std::string& entity, bool again);
-    static bool tellsProfile(const RecordRef& before, const RecordRef& now, bool again);
-    bool isPaced(Session& session, bool again);
-    bool endPauses(TimePoint now);
-    bool isDrill(const Header& head) const;
-    void drillAnswered(const SessionRef& session, const Header& head);
-    void settleDrills(TimePoint now, std::vector<std::string>& changed, std::vector<std::string>& lines);
-    SessionRef nextDrill(TimePoint now);
     TimePoint onDrillTimer();
-    void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now, bool again);
     bool alone() const { return settings_.name.empty(); }
-    void publishAllAgain();
-    bool publishSummary();
     void announce(Lane lane);
     void frontEndsLost(const std::vector<std::string>& names);
     void entityServersLost(const std::vector<std::string>& names);
     void countBusy(const EntityStatus& before, const EntityStatus& now, TimePoint at);
-    void loseClient(EntityOutbox& signal, const EntityStatus& status) const;
 
     const EntityServerCoreSettings settings_;
     const Clock& clock_;
@@ -210,17 +171,13 @@ class EntityServerCore {
     OtherServers others_;
     OtherServers::Group& front_ends_;
     OtherServers::Group& entity_servers_;
-    const std::string drill_;  // what the sender ids of drills begin with; nobody else's do
 
-    SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
-    SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane
+    SnapshotTable<SessionRef, 2> table_;  // by entity, for each lane
+    EntitiesElsewhere elsewhere_;
+    Undelivered undelivered_;
 
-    RateLimit slow_lines_;  // of the log, about who reads slowly
-    // Confined to whoever publishes:
-    std::int64_t publications_ = 0;
-
-    std::mutex refused_mutex_;
-    std::unordered_map<std::string, TimePoint> refused_;  // guarded by refused_mutex_: whose data, and when
+    Publisher publisher_;
+    Drills drills_;  // guarded by mutex_, but for what an answer needs
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
@@ -228,24 +185,6 @@ class EntityServerCore {
     std::unordered_map<std::string, std::weak_ptr<Session>> tokens_;
     std::unordered_map<std::string, SessionRef> registered_;
     std::priority_queue<Due> due_;
-    std::unordered_map<std::string, RecordRef> published_;
-    std::deque<std::string> to_publish_;  // each UUID at most once, so bounded by the number of entities
-    std::unordered_map<std::string, bool> waiting_to_publish_;  // true: also where nothing has changed
-    struct Paced {
-        bool again = false;  // as in waiting_to_publish_
-        TimePoint at;
-    };
-    std::unordered_map<std::string, Paced> paced_;  // to be published later
-    TimePoint next_paced_ = TimePoint::max();
-    bool list_due_ = false;
-    bool announcement_due_ = false;
-    // entity server → those of elsewhere_ that it has, or had before another one said that it has them
-    std::unordered_map<std::string, std::vector<std::string>> entities_of_;
-    bool publishing_ = false;
-    TimePoint next_drill_;
-    std::deque<std::weak_ptr<Session>> drill_round_;  // those whose turn is still to come
-    std::vector<Drill> drills_;                       // unanswered; at most one for each entity
-    std::uint64_t drills_given_ = 0;
 };
 
 }  // namespace axon::entity_server

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "entity_server/entity_server_core.hpp"
-#include "entity_server/ports.hpp"
+#include "entity_server/ports/ports.hpp"
 #include "transport/sessions/lane_session.hpp"
 #include "transport/sessions/peer_sender.hpp"
 #include "transport/sessions/router_servants.hpp"

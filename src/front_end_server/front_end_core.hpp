@@ -1,61 +1,32 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <atomic>
-#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <string_view>
-#include <unordered_map>
 #include <unordered_set>
 #include <vector>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "common/other_servers.hpp"
-#include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
-#include "common/snapshot.hpp"
-#include "common/snapshot_table.hpp"
-#include "front_end_server/holdings.hpp"
-#include "front_end_server/missed_news.hpp"
-#include "front_end_server/ports.hpp"
+#include "front_end_server/clients/client_log.hpp"
+#include "front_end_server/clients/clients.hpp"
+#include "front_end_server/clients/gone_clients.hpp"
+#include "front_end_server/clients/holdings.hpp"
+#include "front_end_server/clients/settlement.hpp"
+#include "front_end_server/entities/entities.hpp"
+#include "front_end_server/ports/core_settings.hpp"
+#include "front_end_server/ports/ports.hpp"
 
 namespace axon::front_end_server {
-
-struct FrontEndCoreSettings {
-    /// Of one of several front-end servers in processes of their own (isServerName); empty: it is the only
-    /// one, with the only entity server beside it.
-    std::string name;
-    Neighbours::Timeouts entity_servers;
-    Duration watchdog_busy = std::chrono::milliseconds{250};  ///< safety.md, "Watchdogs"
-    Duration watchdog_idle = std::chrono::seconds{10};
-    Duration heartbeat_busy = std::chrono::milliseconds{50};
-    Duration heartbeat_idle = std::chrono::seconds{2};
-    std::size_t clients_max = 4096;
-    std::size_t clients_remembered = 1024;  ///< that are gone, and might be granted an entity late
-    std::uint32_t messages_per_second =
-        100'000;  ///< control messages of one client, and signals; above is a flood
-    /// Entities that one client may drill in a second; what begins within is carried out, and the next
-    /// refused.
-    std::uint32_t drills_per_second = kDrillsPerSecond;
-};
 
 /// The most entities that one list of stops may name. A stop goes to the first of a longer one, and its
 /// sender's session ends.
 inline constexpr std::size_t kStopsAtOnce = 8192;
-
-class Client;
-
-/// How a session ended.
-enum class Ending : std::uint8_t {
-    Ended,    ///< the client said so
-    Lost,     ///< its connection closed, or it fell silent
-    Improper  ///< it was dropped for its behaviour
-};
 
 /// The clients and their check-outs, and the front-end's copy of what entities there are (thesis:
 /// ClientMonitor), without its sockets.
@@ -75,6 +46,9 @@ enum class Ending : std::uint8_t {
 /// whole. An entity belongs to the server that announced its joining last. As it knows all entities it
 /// refuses what is for none; a stop is passed on all the same.
 ///
+/// Parts: Clients, Entities, Holdings and GoneClients have its state; Settlement tells entities that a client
+/// is gone, and ClientLog people what clients do.
+///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
 /// reference; the mutex is taken for joins, statuses, leaves, a client's first check-out of an entity and by
@@ -82,7 +56,7 @@ enum class Ending : std::uint8_t {
 /// nothing throws.
 class FrontEndCore {
   public:
-    using ClientRef = std::shared_ptr<Client>;
+    using ClientRef = front_end_server::ClientRef;
     using Note = std::function<void(const std::string& line)>;
 
     /// `global_services`: null where there are none.
@@ -141,49 +115,17 @@ class FrontEndCore {
     const FrontEndCoreSettings& settings() const { return settings_; }
 
   private:
-    struct Record {
-        Registration registration;
-        std::shared_ptr<const std::string> profile;
-        EntityStatus status;
-        bool heard = false;       // the status: it comes after the profile
-        std::int64_t number = 0;  // of the status, as its server counts
-    };
-    using RecordRef = std::shared_ptr<const Record>;
-    using Records = std::unordered_map<std::string, RecordRef>;
-    struct Gone {
-        Sender sender;
-        Ending ending;
-    };
-
-    template <class Send>
-    void eachOf(Lane lane, const std::string& recipient, Send&& send);
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
     Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);
-    void noteExcess(const Client& client, const Refusal& refusal);
-    void believe(const Client& client, const std::string& entity);
-    void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
-    std::size_t stopTargets(const std::string& entity) const;
-    void settle(const Sender& client, Ending ending, const Holdings::Held& held);
-    void tellGone(const Sender& client, const std::string& entity, Ending ending);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
-    bool isOurs(const std::string& client) const {
-        return alone() || originOf(client).server == settings_.name;
-    }
-    void refuseUnknown(ClientOutbox& to, const Header& head) const;
     void ask(const std::string& server);
-    void hearOf(const std::string& server);
-    void countBusy(const Record* before, const Record* now);
-    RecordRef takeOut(const std::string& entity);
     void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
-    void tellLeft(const std::vector<RecordRef>& records);
-    void serversLost(const std::vector<std::string>& names);
-    void serverArrived(const std::string& name);
 
     const FrontEndCoreSettings settings_;
     const Clock& clock_;
@@ -193,26 +135,20 @@ class FrontEndCore {
     const std::function<void()> wake_;
     GlobalServicesPort* const global_services_;
 
-    SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
-    SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane
-    std::atomic<std::int64_t> own_stops_{0};
+    Settlement settlement_;
 
-    RateLimit doubts_, excesses_;  // lines of the log about what entities and clients do
+    ClientLog log_;
 
     OtherServers others_;
     OtherServers::Group& entity_servers_;
+    // Guarded by mutex_, but for what routing needs:
+    Clients clients_;
+    Entities entities_;
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
-    std::unordered_map<std::string, ClientRef> clients_;
-    std::unordered_map<std::string, std::weak_ptr<Client>> tokens_;
-    Records records_;
     Holdings holdings_;
-    MissedNews missed_;
-    // Entities that another server than the record's has spoken of; when that one lets go, it is asked.
-    std::unordered_set<std::string> disputed_;
-    std::unordered_map<std::string, Gone> gone_;
-    std::deque<std::string> gone_order_;
+    GoneClients gone_;
 };
 
 }  // namespace axon::front_end_server

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "front_end_server/front_end_core.hpp"
-#include "front_end_server/ports.hpp"
+#include "front_end_server/ports/ports.hpp"
 #include "transport/sessions/lane_session.hpp"
 #include "transport/sessions/peer_sender.hpp"
 #include "transport/sessions/router_servants.hpp"

@@ -9,7 +9,7 @@
 
 #include "common/clock.hpp"
 #include "common/result.hpp"
-#include "front_end_server/ports.hpp"
+#include "front_end_server/ports/ports.hpp"
 
 namespace axon::global_services {
 

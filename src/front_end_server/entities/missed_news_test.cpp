@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "front_end_server/missed_news.hpp"
+#include "front_end_server/entities/missed_news.hpp"
 
 #include <gtest/gtest.h>
 

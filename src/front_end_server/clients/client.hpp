@@ -15,8 +15,8 @@
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "common/watchdog.hpp"
-#include "front_end_server/front_end_core.hpp"
-#include "front_end_server/ports.hpp"
+#include "front_end_server/ports/core_settings.hpp"
+#include "front_end_server/ports/ports.hpp"
 
 namespace axon::front_end_server {
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "front_end_server/holdings.hpp"
+#include "front_end_server/clients/holdings.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_server/sessions/holder_log.hpp"
+
+#include <utility>
+
+namespace axon::entity_server {
+
+std::string HolderLog::line(const std::string& name, const EntityStatus& before, const EntityStatus& now,
+                            TimePoint at) {
+    if (before.holder.id == now.holder.id) return {};
+    if (!lines_.admit(at)) {
+        ++left_out_;
+        return {};
+    }
+    std::string line;
+    if (!now.holder.id.empty()) {
+        line = name + " is checked out by " + now.holder.name;
+    } else if (now.state == EntityState::IDLE && !now.reason.empty()) {
+        line = "audit: " + name + " is taken from " + before.holder.name + ": " + now.reason;
+    } else {
+        line = name + " is free, released by " + before.holder.name;
+    }
+    if (const auto left_out = std::exchange(left_out_, 0); left_out > 0)
+        line +=
+            " (" + std::to_string(left_out) + " changes of its holder before this one are not in the log)";
+    return line;
+}
+
+}  // namespace axon::entity_server

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "front_end_server/clients/admission.hpp"
+
+#include <string>
+#include <utility>
+
+#include "common/rights.hpp"
+
+namespace axon::front_end_server {
+namespace {
+
+Refusal refuse(RefusalCode code, std::string message) {
+    return {code, std::move(message), {}};
+}
+
+}  // namespace
+
+Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const Entities& entities,
+                   const Clock& clock) {
+    if (!clientsMaySend(head.msg_type))
+        return refuse(RefusalCode::PermissionDenied,
+                      head.msg_type + (entitiesMaySend(head.msg_type)
+                                           ? " is a message between entities; send RUN to the master instead"
+                                           : " is for the server itself: use sendRequest"));
+    if (!client.holds(head.entity)) {
+        // Who has asked for it may have the grant before this server has the status that tells of it.
+        if (bytes > kStrangersBytes && !client.hasAsked(head.entity))
+            return refuse(RefusalCode::TooLarge,
+                          "a message of more than " + std::to_string(kStrangersBytes / 1024) +
+                              " KiB is accepted only from the holder of the entity; fix: check it out first");
+        if (!client.bytes.admit(clock.now(), static_cast<std::uint32_t>(bytes)))
+            return refuse(RefusalCode::Overloaded,
+                          "a client may send at most " + std::to_string(kStrangersBytesPerSecond / 1024) +
+                              " KiB in a second to entities that it does not hold; fix: send less, or check "
+                              "them out");
+    }
+    const bool check_out = head.msg_type == kMsgCheckOut;
+    if (!check_out && head.msg_type != kMsgWatch) return false;
+    const bool for_itself = check_out && client.me.role != Role::Observer;
+    const bool first = for_itself && !client.hasAsked(head.entity);
+    if (!client.asks(head.entity, for_itself, entities.has(head.entity, Lane::Data)))
+        return refuse(RefusalCode::NotConnected, "its session has ended");
+    return first;
+}
+
+}  // namespace axon::front_end_server
