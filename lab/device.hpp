@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -107,7 +108,19 @@ struct DeviceKind {
     std::unique_ptr<Device> (*make)(const DeviceParts& parts) = nullptr;
 };
 
-/// All there are, in the order of CMakeLists.txt.
+/// What begins the other lines of a world's file, and is therefore no kind's word.
+inline constexpr std::array<std::string_view, 7> kOtherWords{"box",       "glass", "map",  "object",
+                                                             "peoplebot", "room",  "table"};
+/// The other options of axon-lab, which are therefore no kind's nouns.
+inline constexpr std::array<std::string_view, 20> kOtherOptions{
+    "box",   "clock",  "empty",  "help", "laser", "listen", "noise", "object", "port", "pty",
+    "robot", "room-x", "room-y", "seed", "speed", "step",   "table", "truth",  "view", "world"};
+
+/// Gives back the kinds where each has a word, a noun and a first port of its own, and neither word nor noun
+/// is one of the above. Otherwise throws std::invalid_argument, which says what has to be changed.
+std::vector<DeviceKind> distinct(std::vector<DeviceKind> kinds);
+
+/// All there are, in the order of CMakeLists.txt. Throws as distinct().
 const std::vector<DeviceKind>& deviceKinds();
 /// The kind whose lines begin with this word, or nothing.
 const DeviceKind* deviceKind(std::string_view word);
