@@ -6,8 +6,8 @@
 #include "lab/camera_control.hpp"
 #include "lab/gripper_control.hpp"
 #include "lab/motion_control.hpp"
-#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/server_information.hpp"
+#include "robots/common/byte_stream.hpp"
 
 namespace axon::lab {
 

@@ -7,7 +7,7 @@
 #include <optional>
 #include <utility>
 
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 namespace axon::arcos {
 

@@ -5,8 +5,8 @@
 #include <string>
 #include <string_view>
 
-#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/client_session.hpp"
+#include "robots/common/byte_stream.hpp"
 
 namespace axon::arcos {
 

@@ -6,11 +6,11 @@
 #include <string>
 #include <vector>
 
-#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/gripper.hpp"
 #include "robots/arcos/laser.hpp"
 #include "robots/arcos/pose_history.hpp"
 #include "robots/arcos/server_information.hpp"
+#include "robots/common/byte_stream.hpp"
 
 namespace axon::arcos {
 

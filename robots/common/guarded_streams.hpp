@@ -3,7 +3,7 @@
 #include <string>
 
 #include "entity_interfacer/axon/device_guard.hpp"
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 
 /// What the robot applications have in common.
 namespace axon::robots {

@@ -4,7 +4,7 @@
 #include <memory>
 #include <string>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 #include "robots/common/robot_settings.hpp"
 
 /// From the settings of a robot application to its two ends: the Entity Interfacer, and the robot's link.

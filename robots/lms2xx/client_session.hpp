@@ -3,7 +3,7 @@
 #include <functional>
 #include <string>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 #include "robots/lms2xx/scan.hpp"
 
 namespace axon::lms2xx {

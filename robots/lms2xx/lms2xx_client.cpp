@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "robots/lms2xx/lms2xx_client.hpp"
 
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 namespace axon::lms2xx {
 

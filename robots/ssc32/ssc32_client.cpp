@@ -3,7 +3,7 @@
 
 #include <atomic>
 
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 namespace axon::ssc32 {
 

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 #include "robots/ssc32/client_session.hpp"
 
 namespace axon::ssc32 {

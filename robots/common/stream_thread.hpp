@@ -4,7 +4,7 @@
 #include <span>
 #include <string>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 
 namespace axon::arcos {
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 #include <poll.h>
 #include <sys/eventfd.h>

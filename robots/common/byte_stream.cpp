@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 
 #include <fcntl.h>
 #include <netdb.h>
