@@ -161,7 +161,7 @@ class ArcosServer {
     const Identity identity_;
     Port& port_;
     const bool has_laser_;
-    int baud_ = arcos::kFirstSpeed;
+    int baud_ = robots::kFirstSpeed;
     State state_ = State::NoClient;
     arcos::PacketReader reader_;
     MotionControl motion_;

@@ -20,7 +20,7 @@
 
 #include "common/descriptor.hpp"
 
-namespace axon::arcos {
+namespace axon::robots {
 namespace {
 
 class TcpStream final : public ByteStream {
@@ -196,4 +196,4 @@ StreamOpener robotStreams(const std::string& address) {
     return address.starts_with('/') ? serialStreams(address) : tcpStreams(address);
 }
 
-}  // namespace axon::arcos
+}  // namespace axon::robots

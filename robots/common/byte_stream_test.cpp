@@ -14,7 +14,7 @@
 #include <stdexcept>
 #include <vector>
 
-namespace axon::arcos {
+namespace axon::robots {
 namespace {
 
 using ::testing::ElementsAre;
@@ -120,4 +120,4 @@ TEST(SerialStreamTest, WhatIsNoSerialLineIsSaid) {
 }
 
 }  // namespace
-}  // namespace axon::arcos
+}  // namespace axon::robots

@@ -17,6 +17,6 @@ namespace axon::robots {
 /// more; the next link is guarded again. A serial line may change its speed; the guard writes at that of the
 /// moment, and for 0.3 s after this process was killed nobody else can open the line. Without a guard no link
 /// is opened. One link at a time. Throws as DeviceGuard does.
-arcos::StreamOpener guardedStreams(arcos::StreamOpener open, DeviceGuard::Options options);
+StreamOpener guardedStreams(StreamOpener open, DeviceGuard::Options options);
 
 }  // namespace axon::robots
