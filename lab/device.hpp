@@ -19,7 +19,7 @@ using mjData = struct mjData_;
 /// What the laboratory has to know of a kind of robot that stands where it is put, such as an arm: how to
 /// build it, and what its controller does. A kind is a folder of this one with a function that gives its
 /// DeviceKind, and a word in the list DEVICES of CMakeLists.txt. PeopleBots, which drive about and sense, are
-/// not devices.
+/// not devices; README.md says why.
 namespace axon::lab {
 
 /// Where a device stands; in a world's file one line.
@@ -68,23 +68,29 @@ struct Measure {
     double least_move = 0;  ///< told again in a --truth file when it has changed by more than this
 };
 
+/// The line on which a client speaks to a controller: that of a device, of a PeopleBot or of a laser. There
+/// is one client at a time, and on a serial line nobody knows whether there is one. Threads: as of what it
+/// belongs to.
+class ClientLine {
+  public:
+    virtual ~ClientLine() = default;
+    virtual void clientConnected() {}
+    virtual void clientLost() {}
+    /// Bytes of the client, cut anywhere; gives what is answered at once.
+    virtual std::vector<std::uint8_t> receive(std::span<const std::uint8_t> bytes) = 0;
+    /// The speed of its end of a serial line; 0: any will do.
+    virtual int baud() const { return 0; }
+};
+
 /// One device: its body and its controller. Threads: none; used by whoever steps the physics. Time comes in
 /// with step() only, and the same calls give the same numbers.
-class Device {
+class Device : public ClientLine {
   public:
-    virtual ~Device() = default;
     /// As in the beginning of the world: the body at rest, the controller switched off and on, faults mended.
     /// mj_forward is the caller's.
     virtual void reset() = 0;
     /// Right before each step of the physics: what the controller does in this time, and with it the motors.
     virtual void step(Duration period) = 0;
-
-    virtual void clientConnected() {}
-    virtual void clientLost() {}
-    /// Bytes of the client, cut anywhere; gives the answers.
-    virtual std::vector<std::uint8_t> receive(std::span<const std::uint8_t> bytes) = 0;
-    /// The speed of its end of a serial line; 0: any will do.
-    virtual int baud() const { return 0; }
 
     /// Breaks something, or mends it. Throws std::invalid_argument, which says what was expected, for a kind
     /// of fault and a number that it does not have.
