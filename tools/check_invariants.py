@@ -21,7 +21,7 @@ MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entit
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")
 EI_PUBLIC = ("src/entity_interfacer/axon/*.hpp",)
 # What a program that links the client library includes, and what that says refusals and states by.
-CLIENT_PUBLIC = ("src/client/axon/*.hpp", "src/common/axon/*.hpp", "src/common/axon/refusals.def")
+CLIENT_PUBLIC = ("src/client/axon/*.hpp", "src/common/axon/*.hpp", "src/common/axon/*.def")
 
 # Where Ice may be seen (invariant 8). Every other file talks to it through src/transport.
 ICE_ALLOWED = (

@@ -6,17 +6,12 @@
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 
-#include <asio/thread_pool.hpp>
 #include <axon/client.hpp>
 
-#include "component/memory_robot.hpp"
 #include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
+#include "component/with_manager.hpp"
 #include "direct/proof.hpp"
-#include "entity_manager/entity_manager.hpp"
-#include "entity_manager/links/server/server_communicators.hpp"
-#include "server/server.hpp"
-#include "support/loopback.hpp"
 #include "support/tcp_valve.hpp"
 
 namespace axon {
@@ -25,38 +20,16 @@ namespace {
 using namespace std::chrono_literals;
 using client::CheckOut;
 using client::Client;
-using entity_manager::BackEndEvents;
-using entity_manager::EntityManager;
 using test::RawClient;
 using test::TcpValve;
 using test::waitUntil;
 
-class DirectPathTest : public ::testing::Test {
+class DirectPathTest : public test::WithManager {
   protected:
-    void SetUp() override { startServer({}); }
-    void startServer(server::ServerSettings settings) {
-        const auto any_port = test::loopbackAddress() + ":0";
-        settings.client_endpoint = settings.client_signal_endpoint = any_port;
-        settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-        server_ = std::make_unique<server::Server>(settings);
-    }
+    void SetUp() override { startServer(); }
     /// Clients are told of relays where the Entity Manager listens: first that of data, then that of signals.
     void startManager(bool offered = true, bool with_valves = true) {
-        const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::EntityManagerCoreSettings core = core_;
-        core.application = "peoplebot";
-        manager_ = EntityManager::create(
-            executor_.get_executor(), ice_, core,
-            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
-             "", ""},
-            [&](const EntityManager::Strand& strand, const entity_manager::StopGenerations&, const Clock&,
-                BackEndEvents& events) {
-                auto application = std::make_unique<test::MemoryRobot>(strand, events, seen_);
-                application_ = application.get();
-                return EntityManager::BackEnd{std::move(application), [its = application_] { its->start(); },
-                                              [] {}};
-            },
-            clock_, random_, storage_, storage_);
+        createManagerOfMemoryRobot(core_);
         entity_manager::DirectSettings direct;
         direct.offered = offered;
         if (with_valves) {
@@ -69,23 +42,14 @@ class DirectPathTest : public ::testing::Test {
         manager_->start();
         ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
     }
-    void TearDown() override {
-        client_.reset();
-        if (manager_) manager_->stop();
-        ice_->destroy();
-        executor_.join();
-        manager_.reset();
-    }
     std::unique_ptr<Client> connect(bool direct = true, int paths = 64) {
         client::Options options;
-        options.server = server_->clientAddress(Lane::Data);
         options.display_name = "client1@lab";
         options.direct = direct;
         options.direct_paths = paths;
-        auto connected = Client::connect(options);
-        EXPECT_TRUE(connected.ok()) << connected.refusal().message;
-        EXPECT_TRUE(connected.value()->waitFor("PeopleBot", client::Seconds{5}).ok());
-        return std::move(connected).value();
+        auto client = connected(options);
+        EXPECT_TRUE(client && client->waitFor("PeopleBot", client::Seconds{5}).ok());
+        return client;
     }
     CheckOut take() {
         if (!client_) client_ = connect();
@@ -100,19 +64,8 @@ class DirectPathTest : public ::testing::Test {
         ASSERT_TRUE(waitUntil([&] { return held.sendText(text).ok(); }));
     }
 
-    SteadyClock clock_;
-    SystemRandom random_;
-    test::MemoryStore storage_;
-    test::MemoryRobot::Seen seen_;
     entity_manager::EntityManagerCoreSettings core_;  // of the Entity Manager
-    test::MemoryRobot* application_ = nullptr;
-    std::unique_ptr<server::Server> server_;
     std::vector<std::unique_ptr<TcpValve>> valves_;
-    asio::thread_pool executor_{1};
-    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
-        std::make_shared<entity_manager::ServerCommunicators>(1, 1);
-    std::shared_ptr<EntityManager> manager_;
-    std::unique_ptr<Client> client_;
 };
 
 TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
@@ -126,7 +79,7 @@ TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
     send(held, text);
     ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
     EXPECT_GT(directBytes(), before + 10000);
-    application_->text(text);
+    robot_->text(text);
     ASSERT_TRUE(waitUntil([&] { return heard == 1; }));
     EXPECT_GT(directBytes(), before + 20000);
     EXPECT_EQ(seen_.texts.front(), text);
@@ -183,7 +136,7 @@ TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesB
     const auto some = [&](int count) {
         for (int i = 0; i < count; ++i, ++sent) {
             send(held, content(sent));
-            application_->text(content(sent));
+            robot_->text(content(sent));
             if (sent % 256 == 0) {
                 ASSERT_TRUE(waitUntil([&] {
                     return heardCount() + 1000 > static_cast<std::size_t>(sent);
@@ -226,7 +179,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     for (const auto& valve : valves_) valve->hold(true);  // no end of a connection is told
     const auto begun = clock_.now();
     send(held, "client to robot");
-    application_->text("robot to client");
+    robot_->text("robot to client");
     std::atomic<bool> heard{false};
     held.onText([&](const std::string&) { heard = true; });
     ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1 && !held.direct() && !manager_->direct(); }));
@@ -241,7 +194,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
 }
 
 TEST_F(DirectPathTest, TheSessionsWithTheServerKeepTheirShortWatchdogsFedBesideThePath) {
-    server::ServerSettings settings;
+    auto settings = test::onLoopback();
     settings.front_end.watchdog_busy = 200ms;
     settings.front_end.watchdog_idle = 1000ms;
     startServer(settings);
@@ -280,7 +233,7 @@ TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt)
         if (to_robot) {
             send(held, "client to robot");
         } else {
-            application_->text("robot to client");
+            robot_->text("robot to client");
         }
         ASSERT_TRUE(waitUntil([&] { return to_robot ? seen_.count() == 1 : heard.load(); }));
         EXPECT_LT(clock_.now() - begun, direct::kWatchdogIdle / 2) << "the idle watchdog is not waited for";
@@ -425,7 +378,7 @@ TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
     }
     client_.reset();
     manager_->stop();
-    application_->awaitQuiet();
+    robot_->awaitQuiet();
     manager_.reset();
     startManager(false);
     const auto held = take();

@@ -212,9 +212,8 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
                                        entities_.label(head.entity) + ": " + refusal.message);
         return;
     }
-    if (requests_.settle<request::SetParameter>(*id, refusal) ||
-        requests_.settle<request::Rearm>(*id, refusal) || requests_.settle<request::Release>(*id, refusal) ||
-        refusal.ok())
+    if (requests_.settle<request::Confirmed>(*id, refusal) ||
+        requests_.settle<request::Release>(*id, refusal) || refusal.ok())
         return;
     if (requests_.settle<request::FetchDetails>(*id, refusal) ||
         requests_.settle<request::Control>(*id, refusal) || requests_.settle<request::Upload>(*id, refusal) ||

@@ -4,9 +4,9 @@
 #include <span>
 #include <string>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 
-namespace axon::arcos {
+namespace axon::robots {
 
 /// The thread that keeps one link to a device: opens it, gives what arrives to a session, ticks the session,
 /// and after the session has closed opens the link again, for ever (after 100 ms, doubling up to 2 s).
@@ -59,4 +59,4 @@ class StreamThread {
     std::unique_ptr<Loop> loop_;
 };
 
-}  // namespace axon::arcos
+}  // namespace axon::robots

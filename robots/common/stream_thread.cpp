@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 #include <poll.h>
 #include <sys/eventfd.h>
@@ -16,7 +16,7 @@
 #include "common/backoff.hpp"
 #include "common/descriptor.hpp"
 
-namespace axon::arcos {
+namespace axon::robots {
 namespace {
 
 constexpr Duration kConnectTimeout = std::chrono::seconds{1};
@@ -168,4 +168,4 @@ bool StreamThread::setSpeed(int baud) {
     return loop_->setSpeed(baud);
 }
 
-}  // namespace axon::arcos
+}  // namespace axon::robots

@@ -9,7 +9,7 @@
 #include "common/clock.hpp"
 #include "common/result.hpp"
 
-namespace axon::arcos {
+namespace axon::robots {
 
 /// The speed of a serial line.
 struct LineSpeed {
@@ -55,4 +55,4 @@ StreamOpener serialStreams(const std::string& device);
 /// What begins with "/" is a serial line, everything else host:port. Throws as the two above.
 StreamOpener robotStreams(const std::string& address);
 
-}  // namespace axon::arcos
+}  // namespace axon::robots

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 
 #include <fcntl.h>
 #include <netdb.h>
@@ -20,7 +20,7 @@
 
 #include "common/descriptor.hpp"
 
-namespace axon::arcos {
+namespace axon::robots {
 namespace {
 
 class TcpStream final : public ByteStream {
@@ -196,4 +196,4 @@ StreamOpener robotStreams(const std::string& address) {
     return address.starts_with('/') ? serialStreams(address) : tcpStreams(address);
 }
 
-}  // namespace axon::arcos
+}  // namespace axon::robots

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 
 #include <fcntl.h>
 #include <gmock/gmock.h>
@@ -14,7 +14,7 @@
 #include <stdexcept>
 #include <vector>
 
-namespace axon::arcos {
+namespace axon::robots {
 namespace {
 
 using ::testing::ElementsAre;
@@ -120,4 +120,4 @@ TEST(SerialStreamTest, WhatIsNoSerialLineIsSaid) {
 }
 
 }  // namespace
-}  // namespace axon::arcos
+}  // namespace axon::robots
