@@ -116,7 +116,7 @@ void Client::Session::onCore(std::uint64_t attempt, Use&& use) {
 }
 
 void Client::Session::mayWait() const {
-    if (news_.isCallbackThread()) {
+    if (news_.insideCallback()) {
         throw std::logic_error(
             "axon::client: a call that waits was made from a callback, which would wait for itself. Make it "
             "from another thread.");

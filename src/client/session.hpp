@@ -79,7 +79,7 @@ class Client::Session final : public LeaseOffers,
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
     /// Messages to this entity go by a direct path.
     bool direct(const Held& held) const;
-    /// Throws std::logic_error on the callback thread: waiting there would wait for itself.
+    /// Throws std::logic_error inside a callback: waiting there would wait for itself.
     void mayWait() const;
 
     MessageSender& messages() { return messages_; }

@@ -536,21 +536,34 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         ++raw_dropped_;
     }
 
+    /// Nothing is being written.
     void writeNext(const std::shared_ptr<Peer>& peer) {
-        do {
-            auto& next = peer->queued.front();
-            peer->queued_bytes -= next.frame.size();
-            if (next.raw) --peer->queued_raw;
-            peer->writing += next.frame;
-            peer->queued.pop_front();
-        } while (!peer->queued.empty() &&
-                 peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
-        asio::async_write(peer->data, asio::buffer(peer->writing),
+        while (!peer->queued.empty()) {
+            do {
+                auto& next = peer->queued.front();
+                peer->queued_bytes -= next.frame.size();
+                if (next.raw) --peer->queued_raw;
+                peer->writing += next.frame;
+                peer->queued.pop_front();
+            } while (!peer->queued.empty() &&
+                     peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
+            // The end of an asynchronous write would be a turn of the strand, on another thread.
+            const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
+                                     MSG_DONTWAIT | MSG_NOSIGNAL);
+            if (sent != static_cast<ssize_t>(peer->writing.size()))
+                return writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
+            peer->writing.clear();
+        }
+    }
+
+    /// When the socket takes it. A failure is told here, too: never from within send().
+    void writeRest(const std::shared_ptr<Peer>& peer, std::size_t sent) {
+        asio::async_write(peer->data, asio::buffer(peer->writing) + sent,
                           [self = shared_from_this(), peer](const asio::error_code& error, std::size_t) {
                               if (self->peer_ != peer) return;
                               if (error) return self->ended(peer, peer->data_ended);
                               peer->writing.clear();
-                              if (!peer->queued.empty()) self->writeNext(peer);
+                              self->writeNext(peer);
                           });
     }
 
