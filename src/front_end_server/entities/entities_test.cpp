@@ -114,6 +114,7 @@ TEST_F(EntitiesTest, AListThatLacksAnEntityOfItsServerTakesItAway) {
 }
 
 TEST_F(EntitiesTest, AServerThatIsGoneBringsNobody) {
+    servers.heard(Lane::Signal, {"es1", "instance", {}}, clock.now());
     join("a", "es1");
     clock.advance(10s);
     others.onTimer(clock.now());
