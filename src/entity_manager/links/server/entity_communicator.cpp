@@ -6,11 +6,11 @@
 #include <axon/messages.pb.h>
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <asio/post.hpp>
 #include <asio/steady_timer.hpp>
 #include <atomic>
 
+#include "common/backoff.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 #include "transport/ice/communicator.hpp"
@@ -34,8 +34,8 @@ using ::Axon::EntityComm::EntitySessionPrx;
 using transport::ByteRange;
 using transport::toRange;
 
-constexpr auto kFirstBackoff = 100ms;
-constexpr auto kLastBackoff = 2000ms;
+constexpr Duration kFirstBackoff = 100ms;
+constexpr Duration kLastBackoff = 2s;
 constexpr int kLoginTimeoutMs = 3000;
 constexpr std::size_t kDataInFlight = 4U << 20U;
 constexpr std::size_t kControlInFlight = 16U << 20U;
@@ -106,7 +106,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         if (wanted == wanted_) return;
         wanted_ = wanted;
         if (wanted) {
-            backoff_ = kFirstBackoff;
+            backoff_.reset();
             login();
             return;
         }
@@ -417,7 +417,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void registered() {
         registered_ = true;
         said_ = false;
-        backoff_ = kFirstBackoff;
+        backoff_.reset();
     }
 
     void keepAlive() {
@@ -461,8 +461,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         else if (!std::exchange(said_, true))
             spdlog::warn("no session with the entity server at {} ({}); trying again until there is one",
                          address_.text(), reason);
-        retry_.expires_after(backoff_);
-        backoff_ = std::min<std::chrono::milliseconds>(backoff_ * 2, kLastBackoff);
+        retry_.expires_after(backoff_.next());
         retry_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
             if (cancelled) return;
             const auto self = weak.lock();
@@ -511,7 +510,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::shared_ptr<EntitySessionPrx> session_, signal_session_, oneway_, signal_oneway_;
     std::shared_ptr<EntitySessionPrx> paced_;  // of messages and data: answered where there is a router
     std::shared_ptr<std::atomic<std::size_t>> in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
-    std::chrono::milliseconds backoff_ = kFirstBackoff;
+    Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;
     std::uint64_t beats_ = 0;
     std::chrono::milliseconds busy_period_{50};  // of the registration: what the server expects
