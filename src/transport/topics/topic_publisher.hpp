@@ -16,8 +16,8 @@
 #include "common/result.hpp"
 #include "common/snapshot.hpp"
 #include "transport/ice/communicator.hpp"
-#include "transport/outbox/callback_sender.hpp"
 #include "transport/outbox/forward.hpp"
+#include "transport/outbox/proxy_sender.hpp"
 
 namespace axon::transport {
 
@@ -104,7 +104,7 @@ class TopicPublisher {
         toAll(Traffic::Control, bytes, call);
     }
 
-    /// Over the topic. Arguments, here and below, and result are those of CallbackSender::send.
+    /// Over the topic. Arguments, here and below, and result are those of ProxySender::send.
     template <class... Arguments>
     bool toAll(Arguments&&... arguments) const {
         const auto routes = data_.load();  // held, because another thread may store a new one
@@ -151,7 +151,7 @@ class TopicPublisher {
     struct Route {
         Place place;
         std::shared_ptr<Prx> proxy;
-        std::shared_ptr<const CallbackSender<Prx>> sender;
+        std::shared_ptr<const ProxySender<Prx>> sender;
     };
     using Routes = std::vector<Route>;
 
@@ -162,9 +162,9 @@ class TopicPublisher {
     static void store(Snapshot<Routes>& to, Routes routes) {
         to.store(std::make_shared<const Routes>(std::move(routes)));
     }
-    std::shared_ptr<const CallbackSender<Prx>> sender(const std::shared_ptr<Prx>& proxy,
-                                                      OutboxLimits limits) const {
-        return std::make_shared<const CallbackSender<Prx>>(
+    std::shared_ptr<const ProxySender<Prx>> sender(const std::shared_ptr<Prx>& proxy,
+                                                   OutboxLimits limits) const {
+        return std::make_shared<const ProxySender<Prx>>(
             proxy, limits, Until::Written, [who = who_](bool, const std::string& why) {
                 spdlog::warn("{}: messages cannot be published: {}", who, why);
             });

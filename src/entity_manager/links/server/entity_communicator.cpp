@@ -18,8 +18,8 @@
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/lane_socket.hpp"
 #include "transport/ice/peer_connection.hpp"
-#include "transport/outbox/callback_sender.hpp"
 #include "transport/outbox/forward.hpp"
+#include "transport/outbox/proxy_sender.hpp"
 #include "transport/sessions/routed_session.hpp"
 
 namespace axon::entity_manager {
@@ -191,7 +191,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     }
 
   private:
-    using LaneOutbox = transport::CallbackSender<EntitySessionPrx>;
+    using LaneOutbox = transport::ProxySender<EntitySessionPrx>;
 
     static Traffic trafficOf(Lane lane) { return lane == Lane::Signal ? Traffic::Signal : Traffic::Control; }
     const LaneOutbox& outbox(Lane lane) const {
