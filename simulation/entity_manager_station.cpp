@@ -6,6 +6,7 @@
 
 #include <algorithm>
 
+#include "common/backoff.hpp"
 #include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
 #include "direct/always_relayed.hpp"
@@ -153,7 +154,7 @@ struct EntityManagerStation::Life {
     bool wanted = false;
     bool up = false;
     std::uint64_t attempt = 0;
-    Duration backoff = kFirstBackoff;
+    Backoff backoff{kFirstBackoff, kLastBackoff};
     Connection* data = nullptr;
     Connection* signal = nullptr;
     ServerStation::EntitySession* session = nullptr;
@@ -742,7 +743,7 @@ void EntityManagerStation::attached(std::uint64_t attempt) {
 void EntityManagerStation::registered(std::uint64_t attempt, bool ok) {
     if (!hears(attempt)) return;
     if (ok)
-        life_->backoff = kFirstBackoff;
+        life_->backoff.reset();
     else
         serverLost(attempt, "the registration was refused");
 }
@@ -760,10 +761,9 @@ void EntityManagerStation::serverLost(std::uint64_t attempt, const char* reason)
         settle();
     }
     if (!life.wanted) return;
-    timeline_.after(life.backoff, process_, [this, dropped] {
+    timeline_.after(life.backoff.next(), process_, [this, dropped] {
         if (life_->wanted && !life_->up && life_->attempt == dropped) login();
     });
-    life.backoff = std::min(life.backoff * 2, kLastBackoff);
 }
 
 void EntityManagerStation::dropServer() {
@@ -787,7 +787,7 @@ void EntityManagerStation::Servers::wantConnection(bool wanted) {
     if (life.wanted == wanted) return;
     life.wanted = wanted;
     if (wanted) {
-        life.backoff = kFirstBackoff;
+        life.backoff.reset();
         station.login();
         return;
     }

@@ -14,6 +14,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "common/descriptor.hpp"
+
 namespace axon::robots {
 namespace {
 
@@ -24,22 +26,18 @@ using ::testing::HasSubstr;
 class PseudoTerminal {
   public:
     PseudoTerminal() : master_(::posix_openpt(O_RDWR | O_NOCTTY)) {
-        ::grantpt(master_);
-        ::unlockpt(master_);
+        ::grantpt(descriptor());
+        ::unlockpt(descriptor());
         std::array<char, 100> name{};
-        ::ptsname_r(master_, name.data(), name.size());
+        ::ptsname_r(descriptor(), name.data(), name.size());
         path_ = name.data();
     }
-    ~PseudoTerminal() { hangUp(); }
-    void hangUp() {
-        if (master_ >= 0) ::close(master_);
-        master_ = -1;
-    }
-    int descriptor() const { return master_; }
+    void hangUp() { master_.reset(); }
+    int descriptor() const { return master_.get(); }
     const std::string& path() const { return path_; }
 
   private:
-    int master_;
+    Descriptor master_;
     std::string path_;
 };
 

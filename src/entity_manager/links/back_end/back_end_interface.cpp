@@ -280,28 +280,26 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     /// False when nobody listens there.
     template <class Done>
     bool shake(std::uint16_t port, proto::LinkLane lane, const std::string& nonce, Done done) {
-        const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-        if (fd < 0) return false;
+        Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+        if (!socket.open()) return false;
         sockaddr_in to{};
         to.sin_family = AF_INET;
         to.sin_port = htons(port);
         ::inet_pton(AF_INET, settings_.where.address.c_str(), &to.sin_addr);
-        int failure = ::connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0 ? 0 : errno;
+        int failure =
+            ::connect(socket.get(), reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0 ? 0 : errno;
         if (failure == EINPROGRESS) {
             // On loopback a refusal has arrived by now, which keeps a look at the whole range cheap.
             socklen_t size = sizeof failure;
-            ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &failure, &size);
+            ::getsockopt(socket.get(), SOL_SOCKET, SO_ERROR, &failure, &size);
         }
-        if (failure != 0) {
-            ::close(fd);
-            return false;
-        }
+        if (failure != 0) return false;
         const int on = 1;
-        ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+        ::setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
         if (lane == proto::LANE_SIGNAL)
-            ::setsockopt(fd, SOL_SOCKET, SO_PRIORITY, &kPriority, sizeof kPriority);
+            ::setsockopt(socket.get(), SOL_SOCKET, SO_PRIORITY, &kPriority, sizeof kPriority);
         const auto handshake = std::make_shared<Handshake>(strand_, port);
-        handshake->socket.assign(tcp::v4(), fd);
+        handshake->socket.assign(tcp::v4(), socket.release());
         handshake->done = std::move(done);
         proto::EmToEi message;
         auto& hello = *message.mutable_hello();

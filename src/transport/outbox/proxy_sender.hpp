@@ -9,13 +9,13 @@
 
 namespace axon::transport {
 
-/// A callback proxy and the Outbox in front of it: what each callback adapter sends with. Oneway, but where
-/// messages are answered (Until). Threads: any.
+/// A proxy of a callback or session and the Outbox in front of it: what callback adapters, and Entity
+/// Managers' sessions, send with. Oneway, but where messages are answered (Until). Threads: any.
 template <class Prx>
-class CallbackSender {
+class ProxySender {
   public:
-    CallbackSender(const std::shared_ptr<Prx>& oneway, OutboxLimits limits, Until until,
-                   Outbox::Disconnect disconnect)
+    ProxySender(const std::shared_ptr<Prx>& oneway, OutboxLimits limits, Until until,
+                Outbox::Disconnect disconnect)
         : proxies_{oneway, oneway->ice_twoway()},
           outbox_(std::make_shared<Outbox>(limits, std::move(disconnect), until)) {}
 
@@ -60,6 +60,7 @@ class CallbackSender {
             });
     }
 
+    void sendAll() const { outbox_->sendAll(); }
     void close() const { outbox_->close(); }
     bool closed() const { return outbox_->closed(); }
     OutboxCounts counts() const { return outbox_->counts(); }
