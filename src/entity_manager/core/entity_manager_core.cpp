@@ -25,7 +25,7 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       journal_(*this, journal),
       readiness_(settings_.application),
       presence_(
-          *this, server, [this](const std::string& why) { serverLost(why); },
+          *this, server,
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       ownership_(*this, *this, journal_, storage, random, profiler_,
                  {settings_.lease_grace, settings_.resource_bytes_max}),
@@ -294,31 +294,16 @@ void EntityManagerCore::onStored() {
     settle();
 }
 
-void EntityManagerCore::seekServer() {
-    presence_.seek();
-    if (connected() && state_ == EntityState::ENVCONN) fire(serverUpEvent());
-}
-
 void EntityManagerCore::onServerUp() {
     if (quit_) return;
-    if (connected()) serverLost("the session with the server was replaced");
-    presence_.up();
-    fire(serverUpEvent());
+    presence_.sessionBegan();
     settle();
 }
 
 void EntityManagerCore::onServerDown(const std::string& reason) {
     if (quit_ || !connected()) return;
-    serverLost(reason);
+    presence_.sessionEnded(reason);
     settle();
-}
-
-void EntityManagerCore::serverLost(const std::string& reason) {
-    presence_.down();
-    Incident incident{Event::ServerDown};
-    incident.cause = StopCause::ServerLost;
-    incident.reason = {RefusalCode::NotConnected, "The Entity Manager lost the server: " + reason, {}};
-    fire(incident);
 }
 
 EntityStatus EntityManagerCore::status() const {

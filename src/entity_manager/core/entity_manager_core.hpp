@@ -167,14 +167,8 @@ class EntityManagerCore final : private Turn,
 
     // States, profiles, server.
     void profilesAreGood(const proto::BasicProfile& basic) override;
-    void seekServer();
-    /// A lease that outlived the session with the server is found again.
-    Event serverUpEvent() const {
-        return held() != nullptr && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
-    }
     std::string whyNotReady() const { return readiness_.whyNot(state_); }
     void tellStatus() override;
-    void serverLost(const std::string& reason);
 
     // Stop.
     void stopApplication(Incident& incident);

@@ -10,6 +10,7 @@
 
 #include "common/entity_name.hpp"
 #include "common/planted_bug.hpp"
+#include "entity_manager/core/turn/incident.hpp"
 #include "messages/text.hpp"
 
 namespace axon::entity_manager {
@@ -27,11 +28,9 @@ std::int32_t fifthOf(Duration watchdog) {
 
 }  // namespace
 
-Presence::Presence(Turn& turn, ServerPort& server, std::function<void(const std::string& why)> server_lost,
-                   const Settings& settings)
+Presence::Presence(Turn& turn, ServerPort& server, const Settings& settings)
     : turn_(turn),
       server_(server),
-      server_lost_(std::move(server_lost)),
       entity_(settings.entity),
       watchdog_(settings.watchdog_busy, settings.watchdog_idle, turn.now()) {
     registration_.entity = entity_;
@@ -44,6 +43,27 @@ Presence::Presence(Turn& turn, ServerPort& server, std::function<void(const std:
 void Presence::seek() {
     if (std::exchange(silent_, false)) server_.wantConnection(false);
     server_.wantConnection(true);
+    if (up_ && turn_.state() == EntityState::ENVCONN) turn_.fire(upEvent());
+}
+
+/// A lease that outlived the session with the server is found again.
+Event Presence::upEvent() const {
+    return turn_.held() != nullptr && turn_.state() == EntityState::ENVCONN ? Event::ServerReturned
+                                                                            : Event::ServerUp;
+}
+
+void Presence::sessionBegan() {
+    if (up_) sessionEnded("the session with the server was replaced");
+    up();
+    turn_.fire(upEvent());
+}
+
+void Presence::sessionEnded(const std::string& reason) {
+    down();
+    Incident incident{Event::ServerDown};
+    incident.cause = StopCause::ServerLost;
+    incident.reason = {RefusalCode::NotConnected, "The Entity Manager lost the server: " + reason, {}};
+    turn_.fire(incident);
 }
 
 void Presence::up() {
@@ -85,7 +105,7 @@ void Presence::onTimer() {
                    "; above that the robot stops. The network or one of the two hosts is overloaded");
     }
     if (!watchdog_.expired(now)) sendPosition();
-    if (const auto why = whySilent()) server_lost_(*why);
+    if (const auto why = whySilent()) sessionEnded(*why);
 }
 
 TimePoint Presence::nextDeadline() const {
