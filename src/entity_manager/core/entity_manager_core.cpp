@@ -24,6 +24,7 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       latch_(storage, parts_lost_),
       journal_(*this, journal),
       readiness_(settings_.application),
+      outgoing_(*this, server, uuid_),
       presence_(
           *this, server,
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
@@ -445,44 +446,11 @@ void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) 
     if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
 }
 
-Header EntityManagerCore::headFor(const Sender& to, const char* type) {
-    Header head;
-    head.sender = to;
-    head.entity = uuid_;
-    head.msg_type = type;
-    if (const auto* held = this->held()) head.held = held->number;
-    head.stop_generation = static_cast<std::int32_t>(stops_.generation());
-    head.sequence = ++sequence_;
-    head.sent_at_us = toMicroseconds(clock_.now());
-    return head;
-}
-
-void EntityManagerCore::tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) {
-    if (!connected() || to.id.empty()) return;
-    server_.sendToClient(lane, headFor(to, type), message);
-}
-
-void EntityManagerCore::tellPeer(Lane lane, const std::string& entity, const char* type,
-                                 const proto::ToEntity& message) {
-    if (!connected()) return;
-    auto head = headFor(self(), type);
-    head.entity = entity;
-    server_.sendToPeer(lane, head, message);
-}
-
 void EntityManagerCore::onPeerRefusal(const Header& head, const Refusal& refusal) {
     if (quit_) return;
     ++counters_.peer_refusals;
     teamwork_.unreachable(head.entity, refusal);
     settle();
-}
-
-void EntityManagerCore::reply(const Sender& to, const std::string& request_id, const Refusal& refusal,
-                              Lane lane) {
-    proto::ToClient message;
-    message.mutable_reply()->set_request_id(request_id);
-    if (!refusal.ok()) *message.mutable_reply()->mutable_refusal() = toProto(refusal);
-    tell(to, kMsgReply, message, lane);
 }
 
 /// Each kind of request is refused with its own kind of answer.

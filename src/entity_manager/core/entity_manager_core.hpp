@@ -17,6 +17,7 @@
 #include "entity_manager/core/collaboration/teamwork.hpp"
 #include "entity_manager/core/inputs/inputs.hpp"
 #include "entity_manager/core/journal/journal_writer.hpp"
+#include "entity_manager/core/outgoing_messages.hpp"
 #include "entity_manager/core/ownership/ownership.hpp"
 #include "entity_manager/core/presence/presence.hpp"
 #include "entity_manager/core/presence/profiles.hpp"
@@ -186,10 +187,12 @@ class EntityManagerCore final : private Turn,
     bool linked() const override { return link_up_; }
     bool toApplication(const proto::EmToEi& message) override { return back_end_.send(message); }
     void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) override {
-        server_.sendToClientDataSeq(headFor(to, type), message);
+        outgoing_.tellDroppable(to, type, message);
     }
     void tellPeer(Lane lane, const std::string& entity, const char* type,
-                  const proto::ToEntity& message) override;
+                  const proto::ToEntity& message) override {
+        outgoing_.tellPeer(lane, self(), entity, type, message);
+    }
     void warn(std::string text) override { warning_ = std::move(text); }
     void tellNews(std::string text) override { news_ = std::move(text); }
     void lookAgain() override { profiles_.lookAgain(); }
@@ -220,15 +223,18 @@ class EntityManagerCore final : private Turn,
     void controlTask(const Incident& incident) override;
 
     // Messages.
-    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override;
+    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override {
+        outgoing_.tell(to, type, message, lane);
+    }
     using Turn::tell;
-    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal, Lane lane);
+    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal, Lane lane) {
+        outgoing_.reply(to, request_id, refusal, lane);
+    }
     void reply(const Sender& to, const std::string& request_id, const Refusal& refusal) override {
         reply(to, request_id, refusal, Lane::Data);
     }
     void refuse(const Incident& incident, const Refusal& refusal) override;
     void answerStatus(const Incident& incident);
-    Header headFor(const Sender& to, const char* type);
 
     const EntityManagerCoreSettings settings_;
     const Clock& clock_;
@@ -246,6 +252,7 @@ class EntityManagerCore final : private Turn,
     bool quit_ = false;
     std::string warning_, news_;
 
+    OutgoingMessages outgoing_;
     Presence presence_;
     Ownership ownership_;
     StopLedger stops_;
@@ -262,7 +269,6 @@ class EntityManagerCore final : private Turn,
 
     PassedSignals passed_signals_;
 
-    std::int64_t sequence_ = 0;
     CoreCounters counters_;
 };
 
