@@ -230,49 +230,12 @@ void EntityManagerCore::hear(proto::EiToEm& message) {
     }
     if (AXON_PLANTED(WatchdogFedByTheApplication)) presence_.heard();
     switch (message.body_case()) {
-        case proto::EiToEm::kStopDone:
-            stops_.answered(message.stop_done());
-            break;
-        case proto::EiToEm::kProfile:
-            profiles_.uploaded(*message.mutable_profile());
-            break;
-        case proto::EiToEm::kAnswer:
-            inputs_.answered(message.answer());
-            break;
-        case proto::EiToEm::kTaskAnswer:
-            tasks_.answered(message.task_answer());
-            break;
-        case proto::EiToEm::kTask:
-            tasks_.updated(*message.mutable_task()->mutable_event());
-            break;
-        case proto::EiToEm::kActive:
-            profiles_.activeIs(message.active());
-            break;
-        case proto::EiToEm::kStatus:
-            tasks_.applicationIs(message.status());
-            break;
-        case proto::EiToEm::kPosition:
-            presence_.positionIs(message.position());
-            break;
-        case proto::EiToEm::kText:
-            holder_channel_.textCame(*message.mutable_text());
-            break;
-        case proto::EiToEm::kRaw:
-            if (!message.raw().to().empty())
-                teamwork_.sendRaw(*message.mutable_raw());
-            else
-                holder_channel_.rawCame(*message.mutable_raw());
-            break;
-        case proto::EiToEm::kSample:
-            streams_.pass(*message.mutable_sample());
-            break;
-        case proto::EiToEm::kWelcome:
-        case proto::EiToEm::kBeat:
-        case proto::EiToEm::kEnd:
-            break;  // the link's own business
-        case proto::EiToEm::BODY_NOT_SET:
-            ++counters_.malformed;
-            break;
+#define AXON_REPORT(name, call) \
+    case proto::EiToEm::name:   \
+        call;                   \
+        break;
+#include "entity_manager/core/turn/reports.def"
+#undef AXON_REPORT
     }
     settle();
 }

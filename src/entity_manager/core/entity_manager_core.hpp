@@ -52,8 +52,9 @@ namespace axon::entity_manager {
 /// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 ///
 /// It finds the row of each event in the state table and passes each action on to whichever part of the state
-/// it is about (actions.def). The parts see each other through Turn and their Others; the core lends some of
-/// them the journal, the readiness, the services and the memory of tasks.
+/// it is about (actions.def), as it does with what the robot application says (reports.def). The parts see
+/// each other through Turn and their Others; the core lends some of them the journal, the readiness, the
+/// services and the memory of tasks.
 class EntityManagerCore final : private Turn,
                                 private Ownership::Others,
                                 private Tasks::Others,
@@ -141,6 +142,9 @@ class EntityManagerCore final : private Turn,
   private:
     /// From the link; the message is left in some valid state.
     void hear(proto::EiToEm& message);
+    void rawCame(proto::LinkRaw& raw) {
+        raw.to().empty() ? holder_channel_.rawCame(raw) : teamwork_.sendRaw(raw);
+    }
     void onSignal(Event event, const Header& head);
 
     // Rows.
