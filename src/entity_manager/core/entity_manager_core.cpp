@@ -31,6 +31,7 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       ownership_(*this, *this, journal_, storage, random, profiler_,
                  {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_generations, back_end),
+      stop_orders_(*this, stops_, journal_),
       tasks_(*this, *this, journal_, back_end, resources, stop_generations, random, profiler_, memory_,
              {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
       profiles_(*this, *this, readiness_, resources, profiler_,
@@ -208,16 +209,6 @@ void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
     settle();
 }
 
-/// What was ordered while the application was lost is given to it now that it is back: it has stopped by
-/// itself when its link ended, but another process may be in its place.
-void EntityManagerCore::deliverStops() {
-    if (!stops_.owed()) return;
-    Incident again{Event::LinkUp};
-    again.cause = StopCause::LinkLost;
-    again.reason = {RefusalCode::Stopped, "It was stopped while its application was lost.", {}};
-    stopApplication(again);
-}
-
 void EntityManagerCore::onLinkMessage(const proto::EiToEm& message) {
     auto copy = message;
     hear(copy);
@@ -290,33 +281,14 @@ void EntityManagerCore::tellStatus() {
     presence_.tell(status());
 }
 
-void EntityManagerCore::stopApplication(Incident& incident) {
-    if (!mustStop(incident)) return;
-    incident.generation = stops_.order(incident.cause, incident.event != Event::Reset);
-    tasks_.restamp();
-    if (incident.event != Event::Reset) tasks_.applicationStopped();
-    noteStop(incident);
-}
-
-void EntityManagerCore::noteStop(const Incident& incident) {
-    journal_.note({.kind = JournalRecord::Kind::Stopped,
-                   .generation = incident.generation,
-                   .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
-                   .code = toString(incident.cause),
-                   .text = incident.reason.message});
-}
-
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
     if (quit_) return;
     Incident incident{Event::Stop, &head};
     incident.cause = cause;
     incident.generation = generation;
-    stops_.arrived(generation);
-    tasks_.restamp();
     incident.reason = {
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
-    tasks_.applicationStopped();
-    if (!AXON_PLANTED(StopNotInTheJournal)) noteStop(incident);
+    stop_orders_.arrived(incident);
     fire(incident);
     settle();
 }
@@ -336,17 +308,6 @@ void EntityManagerCore::onSignal(Event event, const Header& head) {
 void EntityManagerCore::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
     if (quit_) return;
     stops_.repeated(head, cause, generation, tasks_.anyRuns());
-}
-
-void EntityManagerCore::acknowledge(const Incident& incident) {
-    std::optional<StopLedger::Ended> ended;
-    if (incident.event == Event::Reset || incident.event == Event::Clear) {
-        ended.emplace();
-        ended->tasks = static_cast<std::uint32_t>(tasks_.begun());
-        if (incident.event == Event::Clear) ended->removed = static_cast<std::uint32_t>(tasks_.waiting());
-    }
-    if (stops_.acknowledge(*incident.head, incident.cause, incident.generation, tasks_.robotMoves(), ended))
-        deliverStops();
 }
 
 void EntityManagerCore::onClientUpdate(const Header& head, ClientChange change) {

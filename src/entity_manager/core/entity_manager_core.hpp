@@ -28,6 +28,7 @@
 #include "entity_manager/core/stops/latch.hpp"
 #include "entity_manager/core/stops/passed_signals.hpp"
 #include "entity_manager/core/stops/stop_ledger.hpp"
+#include "entity_manager/core/stops/stop_orders.hpp"
 #include "entity_manager/core/streams/holder_channel.hpp"
 #include "entity_manager/core/streams/streams.hpp"
 #include "entity_manager/core/tasks/tasks.hpp"
@@ -56,6 +57,7 @@ namespace axon::entity_manager {
 /// each other through Turn and their Others; the core lends some of them the journal, the readiness, the
 /// services and the memory of tasks.
 class EntityManagerCore final : private Turn,
+                                private StopOrders::Others,
                                 private Ownership::Others,
                                 private Tasks::Others,
                                 private Teamwork::Others,
@@ -175,12 +177,6 @@ class EntityManagerCore final : private Turn,
     std::string whyNotReady() const { return readiness_.whyNot(state_); }
     void tellStatus() override;
 
-    // Stop.
-    void stopApplication(Incident& incident);
-    void noteStop(const Incident& incident);
-    void acknowledge(const Incident& incident);
-    void deliverStops();
-
     // Who holds it.
     void granted(Incident& granted) override;
 
@@ -221,6 +217,12 @@ class EntityManagerCore final : private Turn,
         return tasks_.leavesRoom(service, param);
     }
     void reconfigure(int service, const proto::Param& param) override { tasks_.reconfigure(service, param); }
+    void stopReachesTasks(bool ends) override {
+        tasks_.restamp();
+        if (ends) tasks_.applicationStopped();
+    }
+    TaskCounts taskCounts() const override { return {tasks_.begun(), tasks_.waiting()}; }
+    bool robotMoves() const override { return tasks_.robotMoves(); }
     bool finishesAlone() const override { return tasks_.finishesAlone(); }
     void loseHolder(Incident& lost) override;
     void endSpared(const std::string& why) override { tasks_.endSpared(why); }
@@ -260,6 +262,7 @@ class EntityManagerCore final : private Turn,
     Presence presence_;
     Ownership ownership_;
     StopLedger stops_;
+    StopOrders stop_orders_;
 
     ServiceProfiler profiler_;
     TaskMemory memory_;
