@@ -2,12 +2,10 @@
 #include "entity_manager/core/entity_manager_core.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <utility>
 
 #include "common/planted_bug.hpp"
 #include "entity_manager/core/kept_identity.hpp"
-#include "messages/values.hpp"
 
 namespace axon::entity_manager {
 
@@ -39,7 +37,8 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       teamwork_(*this, *this, journal_, storage, random, profiler_, memory_,
                 {uuid_, settings_.server_watchdog_busy}),
       inputs_(*this, *this, storage, resources, profiler_,
-              {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
+              {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}),
+      status_(*this, *this, readiness_, memory_, uuid_) {
     if (parts_lost_) {
         warning_ =
             "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
@@ -85,14 +84,7 @@ void EntityManagerCore::process(Event event, Who who, const Header& head, proto:
         refuse(incident, refusal);
         return;
     }
-    if (event == Event::Release || event == Event::Clear)
-        incident.reason = {
-            RefusalCode::Stopped,
-            named(head.sender) + (event == Event::Clear ? " cleared all tasks." : " released the entity."),
-            {}};
-    if (event == Event::Release) incident.cause = StopCause::Released;
-    if (event == Event::Clear) incident.cause = StopCause::Clear;
-    if (event == Event::Reset) incident.cause = StopCause::Reset;
+    StopOrders::giveReason(incident);
     fire(incident);
 }
 
@@ -209,11 +201,6 @@ void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
     settle();
 }
 
-void EntityManagerCore::onLinkMessage(const proto::EiToEm& message) {
-    auto copy = message;
-    hear(copy);
-}
-
 void EntityManagerCore::hear(proto::EiToEm& message) {
     if (quit_ || !link_up_) {
         ++counters_.unexpected;
@@ -259,26 +246,6 @@ void EntityManagerCore::onServerDown(const std::string& reason) {
     if (quit_ || !connected()) return;
     presence_.sessionEnded(reason);
     settle();
-}
-
-EntityStatus EntityManagerCore::status() const {
-    EntityStatus status;
-    status.entity = uuid_;
-    status.state = state_;
-    status.latched = latched();
-    status.stop_generation = static_cast<std::int32_t>(stops_.generation());
-    if (const auto* held = this->held()) {
-        status.holder = held->holder;
-        status.held = held->number;
-    }
-    status.orphaned = orphaned();
-    status.waiting = static_cast<std::int32_t>(ownership_.waiting());
-    status.reason = state_ == EntityState::IDLE ? ownership_.taken() : whyNotReady();
-    return status;
-}
-
-void EntityManagerCore::tellStatus() {
-    presence_.tell(status());
 }
 
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
@@ -334,10 +301,6 @@ void EntityManagerCore::onClientUpdate(const Header& head, ClientChange change) 
 void EntityManagerCore::loseHolder(Incident& lost) {
     lost.event = tasks_.survivesClientLoss() ? Event::ClientSpared : Event::ClientLost;
     fire(lost);
-}
-
-void EntityManagerCore::controlTask(const Incident& incident) {
-    if (!teamwork_.control(incident)) tasks_.control(incident);
 }
 
 void EntityManagerCore::granted(Incident& granted) {
@@ -399,28 +362,11 @@ void EntityManagerCore::refuse(const Incident& incident, const Refusal& refusal)
     }
 }
 
-void EntityManagerCore::answerStatus(const Incident& incident) {
-    proto::ToClient message;
-    auto& status = *message.mutable_status();
-    status.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-    status.set_latched(latched());
-    status.set_stop_generation(stops_.generation());
-    if (holder() != nullptr) status.set_holder(named(*holder()));
-    status.set_orphaned(orphaned());
-    status.set_waiting(static_cast<std::uint32_t>(ownership_.waiting()));
-    status.set_reason(whyNotReady());
-    status.set_request_id(incident.body->status_request().request_id());
-    if (incident.body->status_request().with_services()) {
-        profiles_.lookAgain();
-        *status.mutable_services() = profiler_.profile().services();
-        for (auto& finding : inputs_.findings()) status.add_findings()->Swap(&finding);
-        for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
-    }
-    tasks_.describe(status);
-    presence_.describeWatchdogs(back_end_.margins(), status);
-    if (holder() != nullptr && holder()->id == incident.head->sender.id)
-        for (auto& ended : memory_.finals(held()->number)) status.add_ended()->Swap(&ended);
-    tell(incident.head->sender, kMsgStatus, message);
+void EntityManagerCore::describeServices(proto::EntityStatus& status) {
+    profiles_.lookAgain();
+    *status.mutable_services() = profiler_.profile().services();
+    for (auto& finding : inputs_.findings()) status.add_findings()->Swap(&finding);
+    for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
 }
 
 void EntityManagerCore::onTimer() {

@@ -25,6 +25,7 @@
 #include "entity_manager/core/request_reader.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
+#include "entity_manager/core/status_report.hpp"
 #include "entity_manager/core/stops/latch.hpp"
 #include "entity_manager/core/stops/passed_signals.hpp"
 #include "entity_manager/core/stops/stop_ledger.hpp"
@@ -62,7 +63,8 @@ class EntityManagerCore final : private Turn,
                                 private Tasks::Others,
                                 private Teamwork::Others,
                                 private Profiles::Others,
-                                private Inputs::Others {
+                                private Inputs::Others,
+                                private StatusReport::Others {
   public:
     /// Without a journal a task id is known for this life only.
     EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -80,7 +82,10 @@ class EntityManagerCore final : private Turn,
     /// It has been looked for in vain: what was found instead, for whoever asks why the entity is UNAV.
     void onApplicationSought(const std::string& finding);
     void onLinkDown(const std::string& reason, LinkEnd end = LinkEnd::Closed);
-    void onLinkMessage(const proto::EiToEm& message);
+    void onLinkMessage(const proto::EiToEm& message) {
+        auto copy = message;
+        hear(copy);
+    }
     /// The same without a copy of bulk data; the message is left in some valid state.
     void onLinkMessage(proto::EiToEm&& message) { hear(message); }
 
@@ -133,7 +138,7 @@ class EntityManagerCore final : private Turn,
     const LeaseBook::Held* held() const override {
         return ownership_.lease().held() ? &*ownership_.lease().held() : nullptr;
     }
-    EntityStatus status() const;
+    EntityStatus status() const { return status_.forServers(); }
     const CoreCounters& counters() const { return counters_; }
     /// Something for the operator's log: the server has been silent for a good part of what its watchdog
     /// allows. Once a minute at most; empty otherwise. Look after onTimer().
@@ -175,7 +180,7 @@ class EntityManagerCore final : private Turn,
     // States, profiles, server.
     void profilesAreGood(const proto::BasicProfile& basic) override;
     std::string whyNotReady() const { return readiness_.whyNot(state_); }
-    void tellStatus() override;
+    void tellStatus() override { presence_.tell(status()); }
 
     // Who holds it.
     void granted(Incident& granted) override;
@@ -221,12 +226,21 @@ class EntityManagerCore final : private Turn,
         tasks_.restamp();
         if (ends) tasks_.applicationStopped();
     }
+    std::size_t waitingClients() const override { return ownership_.waiting(); }
+    const std::string& takenFromHolder() const override { return ownership_.taken(); }
+    void describeServices(proto::EntityStatus& status) override;
+    void describeWork(proto::EntityStatus& status) const override {
+        tasks_.describe(status);
+        presence_.describeWatchdogs(back_end_.margins(), status);
+    }
     TaskCounts taskCounts() const override { return {tasks_.begun(), tasks_.waiting()}; }
     bool robotMoves() const override { return tasks_.robotMoves(); }
     bool finishesAlone() const override { return tasks_.finishesAlone(); }
     void loseHolder(Incident& lost) override;
     void endSpared(const std::string& why) override { tasks_.endSpared(why); }
-    void controlTask(const Incident& incident) override;
+    void controlTask(const Incident& incident) override {
+        if (!teamwork_.control(incident)) tasks_.control(incident);
+    }
 
     // Messages.
     void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override {
@@ -240,7 +254,6 @@ class EntityManagerCore final : private Turn,
         reply(to, request_id, refusal, Lane::Data);
     }
     void refuse(const Incident& incident, const Refusal& refusal) override;
-    void answerStatus(const Incident& incident);
 
     const EntityManagerCoreSettings settings_;
     const Clock& clock_;
@@ -270,6 +283,7 @@ class EntityManagerCore final : private Turn,
     Profiles profiles_;
     Teamwork teamwork_;
     Inputs inputs_;
+    StatusReport status_;
     Streams streams_{*this};
     HolderChannel holder_channel_{*this};
     RequestReader reader_{*this};

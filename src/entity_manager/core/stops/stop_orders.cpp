@@ -19,6 +19,16 @@ bool mustBeNoted() {
 
 }  // namespace
 
+void StopOrders::giveReason(Incident& request) {
+    const auto isNow = [&](StopCause cause, const std::string& said) {
+        request.cause = cause;
+        if (!said.empty()) request.reason = {RefusalCode::Stopped, named(request.head->sender) + said, {}};
+    };
+    if (request.event == Event::Release) isNow(StopCause::Released, " released the entity.");
+    if (request.event == Event::Clear) isNow(StopCause::Clear, " cleared all tasks.");
+    if (request.event == Event::Reset) isNow(StopCause::Reset, {});
+}
+
 void StopOrders::stop(Incident& incident) {
     if (!mustStop(incident)) return;
     incident.generation = ledger_.order(incident.cause, incident.event != Event::Reset);

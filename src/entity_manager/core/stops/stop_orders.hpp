@@ -35,6 +35,10 @@ class StopOrders {
     StopOrders(Others& others, StopLedger& ledger, JournalWriter& journal)
         : others_(others), ledger_(ledger), journal_(journal) {}
 
+    /// To a request that ends tasks: as which stop it does so, and what those are told who lose a task or a
+    /// lease by it.
+    static void giveReason(Incident& request);
+
     // Actions of the state table.
 
     /// Orders a stop of the Entity Manager's own; the incident has its generation afterwards.

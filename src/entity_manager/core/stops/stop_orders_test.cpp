@@ -72,6 +72,21 @@ struct TheStopOrders : testing::Test {
     StopOrders orders{others, ledger, journal};
 };
 
+TEST_F(TheStopOrders, ARequestThatEndsTasksSaysAsWhichStopAndByWhom) {
+    const auto given = [&](Event event) {
+        Incident request{event, &head};
+        StopOrders::giveReason(request);
+        return request;
+    };
+    EXPECT_EQ(given(Event::Release).cause, StopCause::Released);
+    EXPECT_EQ(given(Event::Release).reason.message, named(head.sender) + " released the entity.");
+    EXPECT_EQ(given(Event::Clear).cause, StopCause::Clear);
+    EXPECT_EQ(given(Event::Clear).reason.code, RefusalCode::Stopped);
+    EXPECT_EQ(given(Event::Reset).cause, StopCause::Reset);
+    EXPECT_TRUE(given(Event::Reset).reason.ok());
+    EXPECT_EQ(given(Event::Task).cause, StopCause::Unspecified);
+}
+
 TEST_F(TheStopOrders, AnOwnStopIsCommandedBeforeAnythingElseIsDoneAboutIt) {
     Incident lost{Event::ServerDown};
     lost.cause = StopCause::ServerLost;
