@@ -255,34 +255,24 @@ void Communicator::shutdown() {
     if (onOwnThread()) return quit();
     const std::lock_guard lock(shutdown_mutex_);
     if (shut_down_.exchange(true) || !started_) return;
-    ending_ = true;
+    tasks_.startNoMore();
     end_stop_thread_ = true;
     stop_wake_.wake();
     stop_thread_.join();
 
-    const auto wait_for_handlers = [this](Duration time) {
-        std::unique_lock tasks(tasks_mutex_);
-        return task_ended_.wait_for(tasks, time, [this] {
-            return std::all_of(tasks_.begin(), tasks_.end(),
-                               [](const TaskThread& t) { return t.done->load(); });
-        });
-    };
     // Handlers that end at once may still say how; the link does not wait for the others.
-    wait_for_handlers(kLastWords);
+    tasks_.waitForAll(kLastWords);
     end_watch_thread_ = true;
     watch_wake_.wake();
     watch_thread_.join();
     end_data_thread_ = true;
     data_wake_.wake();
     data_thread_.join();
-    while (!wait_for_handlers(1s)) {
-        const std::lock_guard tasks(tasks_mutex_);
-        for (const auto& running : tasks_)
-            if (!running.done->load())
-                log(LogLevel::Warning, "shutting down waits for the handler of '" + running.task->service +
-                                           "'; fix: return from it when stopRequested() is true");
-    }
-    reapTasks();
+    while (!tasks_.waitForAll(1s))
+        for (const auto& service : tasks_.services())
+            log(LogLevel::Warning, "shutting down waits for the handler of '" + service +
+                                       "'; fix: return from it when stopRequested() is true");
+    tasks_.reap();
 }
 
 std::shared_ptr<Link> Communicator::currentLink() const {

@@ -2,7 +2,6 @@
 #pragma once
 #include <array>
 #include <atomic>
-#include <condition_variable>
 #include <deque>
 #include <functional>
 #include <map>
@@ -21,6 +20,7 @@
 #include "entity_interfacer/link.hpp"
 #include "entity_interfacer/running_task.hpp"
 #include "entity_interfacer/stop_level.hpp"
+#include "entity_interfacer/task_threads.hpp"
 #include "host/port_range.hpp"
 
 namespace axon::proto {
@@ -103,11 +103,6 @@ class Communicator {
         std::string xml;
         bool send = false;
     };
-    struct TaskThread {
-        std::shared_ptr<Task::Running> task;
-        std::thread thread;
-        std::shared_ptr<std::atomic<bool>> done;
-    };
     /// A connection whose peer has not yet proved to be our Entity Manager.
     struct Pending {
         Descriptor socket;
@@ -158,8 +153,6 @@ class Communicator {
     void adoptDataLink(const std::shared_ptr<Link>& link);
     void sendProfiles(Link& link, bool all);
     void watchProfiles();
-    void reapTasks();
-    std::shared_ptr<Task::Running> findTask(const std::string& id_bytes);
     /// " (what)" of an exception that has left the call; nothing where none has.
     template <class Call>
     static std::optional<std::string> thrownBy(Call call);
@@ -201,7 +194,6 @@ class Communicator {
 
     std::atomic<bool> started_{false};
     std::atomic<bool> shut_down_{false};
-    std::atomic<bool> ending_{false};
     std::atomic<std::uint16_t> port_{0};
     std::mutex shutdown_mutex_;
 
@@ -237,7 +229,6 @@ class Communicator {
     TimePoint slow_warn_again_{};
 
     // Data thread
-    std::deque<std::string> recent_tasks_;
     bool may_move_ = false;  // something that may move the robot has come by the present link
     std::string last_not_sent_;
     TimePoint tell_not_sent_{};
@@ -260,9 +251,7 @@ class Communicator {
     bool all_streams_ = true;
     std::set<std::string, std::less<>> wanted_streams_;
 
-    std::mutex tasks_mutex_;
-    std::condition_variable task_ended_;
-    std::vector<TaskThread> tasks_;  // guarded by tasks_mutex_
+    TaskThreads<Task::Running> tasks_{data_wake_};
 
     std::thread stop_thread_, watch_thread_, data_thread_;
 };

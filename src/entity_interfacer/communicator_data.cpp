@@ -19,8 +19,6 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr std::size_t kProfileMax = kFrameMax - 4096;
-constexpr std::size_t kTasksMax = 64;
-constexpr std::size_t kRecentMax = 256;
 constexpr std::size_t kStreamsMax = 4096;
 constexpr std::size_t kThrownMax = 1000;  // of what an exception says, in bytes
 constexpr auto kProfileLook = 1s;
@@ -91,13 +89,7 @@ proto::EiToEm Communicator::activityOf(const std::string& service) const {
 }
 
 void Communicator::sendTaskFeedback(std::string_view service, std::string_view text) {
-    std::vector<std::shared_ptr<Task::Running>> running;
-    {
-        const std::lock_guard lock(tasks_mutex_);
-        for (const auto& task : tasks_)
-            if (task.task->service == service) running.push_back(task.task);
-    }
-    for (const auto& task : running) task->feedback(text);
+    for (const auto& task : tasks_.ofService(service)) task->feedback(text);
 }
 
 std::shared_ptr<Stream::Channel> Communicator::channel(std::string_view name) {
@@ -245,7 +237,7 @@ void Communicator::dataThread() {
         }
         watchProfiles();
         if (link) sendProfiles(*link, false);
-        reapTasks();
+        tasks_.reap();
     }
     drop();
     logNotes();
@@ -298,7 +290,7 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
 /// The handler first: what it reads from then on is what the application is told of.
 void Communicator::onConfiguration(const std::shared_ptr<Link>& link,
                                    const proto::Configuration& configuration) {
-    const auto task = findTask(configuration.task_id());
+    const auto task = tasks_.find(configuration.task_id());
     for (const auto& one : configuration.params()) {
         const auto parameter = fromProto(one.param());
         if (task) task->configure(parameter);
@@ -390,10 +382,10 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
         case proto::EmToEi::kTask:
             return onTask(link, message.task());
         case proto::EmToEi::kCancel:
-            if (const auto task = findTask(message.cancel().task_id())) task->cancel();
+            if (const auto task = tasks_.find(message.cancel().task_id())) task->cancel();
             return;
         case proto::EmToEi::kPause:
-            if (const auto task = findTask(message.pause().task_id())) {
+            if (const auto task = tasks_.find(message.pause().task_id())) {
                 const bool resume = message.pause().resume();
                 if (!resume) {
                     task->setPaused(true);
@@ -461,7 +453,7 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
         task->answer({code, message, {}});
     };
     if (task->id.empty()) return refuse(RefusalCode::Malformed, "task id: expected 16 bytes");
-    if (std::find(recent_tasks_.begin(), recent_tasks_.end(), task->id) != recent_tasks_.end())
+    if (tasks_.wasStarted(task->id))
         return refuse(RefusalCode::Duplicate, "a task with this id has been dispatched before");
     if (level_.stopped() > task->generation)
         return refuse(RefusalCode::OldGeneration,
@@ -494,27 +486,9 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
             return;
         if (!decision.granted()) return refuse(codeOf(decision), decision.reason());
     }
-    reapTasks();
-    const std::lock_guard lock(tasks_mutex_);
-    if (ending_) return refuse(RefusalCode::Unavailable, "the robot application is shutting down");
-    if (tasks_.size() >= kTasksMax) return refuse(RefusalCode::QueueFull, "64 tasks are running already");
-    recent_tasks_.push_back(task->id);
-    if (recent_tasks_.size() > kRecentMax) recent_tasks_.pop_front();
-    TaskThread entry{task, {}, std::make_shared<std::atomic<bool>>(false)};
-    try {
-        entry.thread = std::thread([this, task, handler, done = entry.done] {
-            runTask(task, *handler);
-            {
-                const std::lock_guard ended(tasks_mutex_);
-                done->store(true);
-            }
-            task_ended_.notify_all();
-            data_wake_.wake();
-        });
-    } catch (const std::system_error&) {
-        return refuse(RefusalCode::Overloaded, "the task gets no thread: the machine is out of resources");
-    }
-    tasks_.push_back(std::move(entry));
+    tasks_.reap();
+    const auto refusal = tasks_.start(task, [this, task, handler] { runTask(task, *handler); });
+    if (!refusal.ok()) task->answer(refusal);
 }
 
 void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
@@ -534,25 +508,6 @@ void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
         fault("an exception left the handler of '" + running->service + "'",
               [&] { running->handlerThrew("an exception left the handler"); });
     }
-}
-
-std::shared_ptr<Task::Running> Communicator::findTask(const std::string& id_bytes) {
-    const std::lock_guard lock(tasks_mutex_);
-    for (const auto& running : tasks_)
-        if (running.task->id_bytes == id_bytes) return running.task;
-    return nullptr;
-}
-
-void Communicator::reapTasks() {
-    std::vector<TaskThread> finished;
-    {
-        const std::lock_guard lock(tasks_mutex_);
-        const auto first =
-            std::partition(tasks_.begin(), tasks_.end(), [](const TaskThread& t) { return !t.done->load(); });
-        std::move(first, tasks_.end(), std::back_inserter(finished));
-        tasks_.erase(first, tasks_.end());
-    }
-    for (auto& task : finished) task.thread.join();
 }
 
 }  // namespace axon
