@@ -2,7 +2,6 @@
 #pragma once
 #include <array>
 #include <atomic>
-#include <deque>
 #include <functional>
 #include <map>
 #include <memory>
@@ -17,6 +16,7 @@
 #include "common/clock.hpp"
 #include "common/life_signs.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
+#include "entity_interfacer/handshakes.hpp"
 #include "entity_interfacer/link.hpp"
 #include "entity_interfacer/running_task.hpp"
 #include "entity_interfacer/stop_level.hpp"
@@ -27,10 +27,8 @@ namespace axon::proto {
 class Configuration;
 class EiToEm;
 class EmToEi;
-class Hello;
 class LinkBeat;
 class NotSent;
-class Refusal;
 class StopSignal;
 class TaskDispatch;
 }  // namespace axon::proto
@@ -51,7 +49,7 @@ struct Stream::Channel {
 /// Threads: the *stop thread* reads the signal connection and runs the stop callback; the *watch thread*
 /// accepts, beats and watches for silence; the *data thread* reads the data connection and runs all other
 /// callbacks; one thread per running task. They hand links over by pointer and wake each other by eventfd.
-class Communicator {
+class Communicator : private Handshakes::Others {
   public:
     struct Callbacks {
         std::function<Decision(const std::string&, const Parameter&)> parameter;
@@ -71,7 +69,7 @@ class Communicator {
     };
 
     explicit Communicator(EntityInterfacer::Options options);
-    ~Communicator();
+    ~Communicator() override;
 
     /// Throws std::logic_error once started.
     Callbacks& settableCallbacks();
@@ -103,16 +101,6 @@ class Communicator {
         std::string xml;
         bool send = false;
     };
-    /// A connection whose peer has not yet proved to be our Entity Manager.
-    struct Pending {
-        Descriptor socket;
-        FrameReader reader{kHelloMax};
-        TimePoint deadline;
-        std::string nonce, manager;  // once its Hello for the signal lane is accepted
-        std::chrono::milliseconds busy{0}, idle{0};
-    };
-    static constexpr std::size_t kHelloMax = 4096;
-
     // Stop thread
     void stopThread();
     void readSignals(Link& link);
@@ -126,12 +114,9 @@ class Communicator {
 
     // Watch thread
     void watchThread();
-    void accept();
-    /// True when the connection is to be forgotten here: dropped, or part of a link.
-    bool readHello(Pending& pending);
-    bool onHello(Pending& pending, const proto::Hello& hello);
-    void refuse(Pending& pending, RefusalCode code, const std::string& message);
-    void welcome(Pending& pending, const proto::Hello& hello, const proto::Refusal* refusal);
+    bool stopFailed() const override { return stop_failed_; }
+    std::optional<std::string> linkedWith() const override;
+    void linkWith(Handshakes::Pair pair) override;
     void beat();
     void checkSilence();
 
@@ -177,7 +162,6 @@ class Communicator {
     void fault(const std::string& what, const std::function<void()>& last_words);
     /// A log line of the stop or the watch thread, which never wait for a logger: the data thread writes it.
     void note(LogLevel level, std::string text);
-    void listen();
     bool onOwnThread() const;
 
     static thread_local const Communicator* this_thread_of;  // a thread knows whose it is
@@ -186,11 +170,8 @@ class Communicator {
     EntityInterfacer::Options options_;
     std::shared_ptr<const Clock> clock_;
     std::atomic<bool> reports_standstill_;
-    PortRange ports_;
-    LinkUsers users_;
-    std::string address_;
+    LinkPorts where_;
     Callbacks callbacks_;
-    Descriptor listener_;
 
     std::atomic<bool> started_{false};
     std::atomic<bool> shut_down_{false};
@@ -222,9 +203,8 @@ class Communicator {
 
     // Watch thread
     std::shared_ptr<Link> watched_;
-    std::deque<Pending> pending_;
+    Handshakes handshakes_;
     TimePoint next_beat_{};
-    TimePoint accept_again_{};
     std::uint64_t beat_sequence_ = 0;
     TimePoint slow_warn_again_{};
 
