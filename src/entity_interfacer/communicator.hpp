@@ -7,7 +7,6 @@
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <set>
 #include <string>
 #include <thread>
 #include <utility>
@@ -19,7 +18,9 @@
 #include "entity_interfacer/handshakes.hpp"
 #include "entity_interfacer/link.hpp"
 #include "entity_interfacer/running_task.hpp"
+#include "entity_interfacer/statements.hpp"
 #include "entity_interfacer/stop_level.hpp"
+#include "entity_interfacer/stream_channels.hpp"
 #include "entity_interfacer/task_threads.hpp"
 #include "host/port_range.hpp"
 
@@ -49,6 +50,9 @@ struct Stream::Channel {
 /// Threads: the *stop thread* reads the signal connection and runs the stop callback; the *watch thread*
 /// accepts, beats and watches for silence; the *data thread* reads the data connection and runs all other
 /// callbacks; one thread per running task. They hand links over by pointer and wake each other by eventfd.
+///
+/// Parts with state of their own: Handshakes (connections that are not a link yet), TaskThreads, Statements
+/// and StreamChannels (what a new link must be told, or takes back). The stop thread takes no lock of theirs.
 class Communicator : private Handshakes::Others {
   public:
     struct Callbacks {
@@ -101,6 +105,7 @@ class Communicator : private Handshakes::Others {
         std::string xml;
         bool send = false;
     };
+
     // Stop thread
     void stopThread();
     void readSignals(Link& link);
@@ -127,11 +132,6 @@ class Communicator : private Handshakes::Others {
     /// Of every value that a client gives, by itself or with a task.
     Decision decideParameter(const std::string& service, const Parameter& parameter) const;
     void onConfiguration(const std::shared_ptr<Link>& link, const proto::Configuration& configuration);
-    /// Whether onConfig has taken the value of this parameter, or why not.
-    void noteTaken(Link& link, const std::string& service, const std::string& parameter,
-                   const std::optional<std::string>& why_not);
-    /// Why no task of this service may begin; nothing: one may.
-    std::optional<std::string> valueNotTaken(const std::string& service);
     void onNotSent(const proto::NotSent& refused);
     void onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch);
     void runTask(const std::shared_ptr<Task::Running>& task, const EntityInterfacer::TaskHandler& handler);
@@ -151,9 +151,6 @@ class Communicator : private Handshakes::Others {
     template <class Call>
     void unlessOvertaken(const Link& link, std::uint32_t generation, Call call);
     void logNotes();
-
-    /// What is to be said of a service that is named so: under statements_mutex_.
-    proto::EiToEm activityOf(const std::string& service) const;
 
     std::shared_ptr<Link> currentLink() const;
     void publish(std::shared_ptr<Link> link);
@@ -220,17 +217,11 @@ class Communicator : private Handshakes::Others {
     std::mutex notes_mutex_;                               // held for a push or a swap
     std::vector<std::pair<LogLevel, std::string>> notes_;  // guarded by notes_mutex_
 
-    std::mutex statements_mutex_;
-    std::array<Profile, 2> profiles_;  // these seven guarded by statements_mutex_
-    std::optional<std::array<double, 3>> position_;
-    std::map<std::string, std::pair<bool, std::string>, std::less<>> active_;
-    /// Of the present link: by service and parameter, why onConfig has not taken the value. What the
-    /// application says of such a service counts when it has taken another.
-    std::map<std::pair<std::string, std::string>, std::string> not_taken_;
-    std::map<std::string, std::shared_ptr<Stream::Channel>, std::less<>> channels_;
-    bool all_streams_ = true;
-    std::set<std::string, std::less<>> wanted_streams_;
+    std::mutex profiles_mutex_;        // held for a copy, and while they are sent
+    std::array<Profile, 2> profiles_;  // guarded by profiles_mutex_
 
+    Statements statements_;
+    StreamChannels<Stream::Channel> channels_;
     TaskThreads<Task::Running> tasks_{data_wake_};
 
     std::thread stop_thread_, watch_thread_, data_thread_;
