@@ -52,7 +52,8 @@ struct Stream::Channel {
 /// callbacks; one thread per running task. They hand links over by pointer and wake each other by eventfd.
 ///
 /// Parts with state of their own: Handshakes (connections that are not a link yet), TaskThreads, Statements
-/// and StreamChannels (what a new link must be told, or takes back). The stop thread takes no lock of theirs.
+/// and StreamChannels (what a new link must be told, or takes back). None of their locks is taken before
+/// onStop is called.
 class Communicator : private Handshakes::Others {
   public:
     struct Callbacks {

@@ -21,8 +21,8 @@ namespace axon {
 ///
 /// Threads: any. The mutex is held while a statement is sent, so that none overtakes a newer one, and while a
 /// link is published, so that none comes between what is repeated and what is sent. Sending does not wait:
-/// what the socket does not take goes into the link's queue. The stop thread never takes the mutex. Bounded
-/// by the names that the application uses.
+/// what the socket does not take goes into the link's queue. The stop thread takes the mutex only where
+/// onStop itself makes a statement. Bounded by the names that the application uses.
 class Statements {
   public:
     /// Called with the mutex held; must not call back.

@@ -15,8 +15,9 @@ namespace axon {
 /// otherwise.
 ///
 /// Threads: any; a sender reads `wanted` of its channel without a lock. The mutex is held for a look or a
-/// change, never while anything is sent or user code runs, and the stop thread never takes it. Bounded: kMax
-/// wanted names; more are not wanted by name. Channels are bounded by the names that the application uses.
+/// change, never while anything is sent or user code runs; the stop thread takes it only where onStop itself
+/// asks for a stream. Bounded: kMax wanted names; more are not wanted by name. Channels are bounded by the
+/// names that the application uses.
 ///
 /// `Channel` is Stream::Channel; a test has its own, with an atomic `wanted`.
 template <class Channel>

@@ -25,9 +25,9 @@ namespace axon {
 ///
 /// Threads: wasStarted(), start(), find() and reap() belong to the data thread; the others may be called from
 /// any thread. The mutex is held while the list is changed or read and while a thread is created, never while
-/// a handler runs or a thread is joined. The stop thread never takes it: a stop reaches the tasks by the
-/// StopLevel. Failure: what cannot start is refused, and nothing is left of it but its id. Bounded: kMax
-/// tasks, kRecentMax ids; the oldest id is forgotten.
+/// a handler runs or a thread is joined. A stop reaches the tasks by the StopLevel: the stop thread takes the
+/// mutex only where onStop itself gives feedback. Failure: what cannot start is refused, and nothing is left
+/// of it but its id. Bounded: kMax tasks, kRecentMax ids; the oldest id is forgotten.
 ///
 /// `Running` is Task::Running; a test has its own, with `id`, `id_bytes` and `service`.
 template <class Running>
