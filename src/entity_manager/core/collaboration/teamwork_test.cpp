@@ -204,7 +204,9 @@ TEST_F(Teamworks, RawDataWithoutARunGoesNowhereAndIsAnsweredSeldom) {
 }
 
 TEST_F(Teamworks, RawDataOfAPartnerThatTheLinkDoesNotTakeIsCountedAsUndelivered) {
-    teamwork.considerInvitation(master, invitation());
+    auto invited = invitation();
+    invited.mutable_invitation()->add_participants()->set_entity(master.id);
+    teamwork.considerInvitation(master, invited);
     Header head;
     head.sender = master;
     const auto hearRaw = [&] {
