@@ -25,8 +25,8 @@
 #include <thread>
 #include <utility>
 
+#include "common/frame.hpp"
 #include "common/ids.hpp"
-#include "entity_interfacer/frame.hpp"
 #include "entity_manager/links/back_end/back_end_interface.hpp"
 #include "support/loopback.hpp"
 
