@@ -31,7 +31,7 @@ ICE_ALLOWED = (
     "src/front_end_server/*servant*",
     "src/client/connection/communicators.*",
     "src/client/connection/server_connection*",
-    "src/client/direct/ice_direct_path.*",
+    "src/client/direct/network_path.*",
     "src/entity_manager/links/server/*",
     "src/entity_manager/links/direct/direct_door.*",
     "src/entity_manager/main.cpp",

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "client/direct/ice_direct_path.hpp"
+#include "client/direct/network_path.hpp"
 
 #include <utility>
 
@@ -8,6 +8,9 @@
 #include "transport/ice/convert.hpp"
 #include "transport/ice/direct_head.hpp"
 #include "transport/ice/lane_socket.hpp"
+
+static_assert(axon::direct::lane::kContract == Axon::CommUtil::ContractNumber,
+              "the data lane of a direct path says the number of the contracts");
 
 namespace axon::client {
 namespace {
@@ -35,71 +38,91 @@ Axon::CommUtil::Bytes toIceBytes(const std::string& bytes) {
 
 }  // namespace
 
-/// Pushes of the Entity Manager, for one lane. The entity is that of the connection.
-class IceDirectPath::Callback final : public slice::DirectCallback {
+/// Pushes of the Entity Manager on the signal lane. The entity is that of the connection.
+class NetworkPath::Callback final : public slice::DirectCallback {
   public:
-    Callback(std::weak_ptr<IceDirectPath> path, Lane lane) : path_(std::move(path)), lane_(lane) {}
+    explicit Callback(std::weak_ptr<NetworkPath> path) : path_(std::move(path)) {}
 
     void newEntityMsg(slice::Head head, ByteRange message, const Ice::Current&) override {
-        tell([&](IceDirectPath& path, DirectPathEvents& events) {
-            auto its = headFrom(path, std::move(head));
-            if (lane_ == Lane::Data)
-                events.newDirectMsg(path, Keeping::Kept, std::move(its), transport::toView(message));
-            else if (its.msg_type == kMsgReceipt)
-                events.newDirectReceipt(path, its, transport::toView(message));
-        });
-    }
-    void newEntityMsgDataSeq(slice::Head head, ByteRange message, const Ice::Current&) override {
-        if (lane_ != Lane::Data) return;
-        tell([&](IceDirectPath& path, DirectPathEvents& events) {
-            events.newDirectMsg(path, Keeping::Droppable, headFrom(path, std::move(head)),
-                                transport::toView(message));
-        });
+        const auto path = path_.lock();
+        if (!path || path->ended() || head.msgType != kMsgReceipt) return;
+        auto its = transport::fromDirectHead(std::move(head));
+        its.entity = path->entity();
+        if (const auto events = path->events_.lock())
+            events->newDirectReceipt(*path, its, transport::toView(message));
     }
     void newHeartbeat(double received, bool asks, const Ice::Current&) override {
-        const auto path = path_.lock();
-        if (!path || lane_ != Lane::Signal) return;
-        path->heard(transport::whole(received), asks);
+        if (const auto path = path_.lock()) path->heard(transport::whole(received), asks);
     }
 
   private:
-    static Header headFrom(const IceDirectPath& path, slice::Head&& head) {
-        auto its = transport::fromDirectHead(std::move(head));
-        its.entity = path.entity();
-        return its;
-    }
-    template <class Tell>
-    void tell(Tell what) {
-        const auto path = path_.lock();
-        if (!path || path->ended()) return;
-        if (const auto events = path->events_.lock()) what(*path, *events);
-    }
-    const std::weak_ptr<IceDirectPath> path_;
-    const Lane lane_;
+    const std::weak_ptr<NetworkPath> path_;
 };
 
-IceDirectPath::IceDirectPath(const LaneHome& data, const LaneHome& signal, DirectOffer offer, Id128 number,
-                             std::shared_ptr<Backlog> backlog, const Clock& clock,
-                             std::weak_ptr<DirectPathEvents> events)
+NetworkPath::NetworkPath(std::shared_ptr<LaneReaders> readers, const LaneHome& signal, DirectOffer offer,
+                         Id128 number, std::shared_ptr<Backlog> backlog, const Clock& clock,
+                         std::weak_ptr<DirectPathEvents> events)
     : DirectPath(std::move(offer), number, clock),
-      data_home_(data),
-      signal_home_(signal),
+      readers_(std::move(readers)),
+      home_(signal),
       backlog_(std::move(backlog)),
       events_(std::move(events)) {}
 
-IceDirectPath::~IceDirectPath() {
-    for (const auto& connection : connections_)
-        connection->disconnect({false, "it is of no use any more"}, false);
+NetworkPath::~NetworkPath() {
+    for (const auto& closes : closing_) closes("it is of no use any more");
 }
 
-void IceDirectPath::open(Duration timeout) {
+void NetworkPath::open(Duration timeout) {
     timeout_ms_ = static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count());
-    openLane(Lane::Data);
+    auto socket = direct::lane::LaneSocket::connectTo(offer_.data_endpoint);
+    if (!socket) return close(socket.refusal().message);
+    const direct::Claim claim{Lane::Data, offer_.lease, Id128::parse(uuidOf(offer_.client)).value_or(Id128{}),
+                              number_, Id128{}};
+    data_ = std::make_shared<FramedLane>(
+        readers_, std::move(socket).value(),
+        direct::lane::ClientOpening(
+            claim,
+            [weak = weak_from_this()](const Id128& nonce) {
+                const auto self = weak.lock();
+                return self ? self->proofFor(Lane::Data, nonce) : std::string();
+            },
+            [weak = weak_from_this()](std::string_view proof) {
+                const auto self = weak.lock();
+                return self && self->trusts(proof);
+            }),
+        dataLimits(),
+        [backlog = backlog_](std::size_t bytes) {
+            backlog->add(bytes);
+            return std::shared_ptr<void>(nullptr, [backlog, bytes](void*) { backlog->remove(bytes); });
+        },
+        clock_, std::shared_ptr<FramedLane::Owner>(shared_from_this(), this));
+    bool late = false;
+    {
+        const std::lock_guard lock(mutex_);
+        closing_.emplace_back([data = data_](const std::string& why) { data->end(why); });
+        late = ended_;
+    }
+    if (late) return data_->end("it has ended");
+    data_->start(timeout);
+}
+
+void NetworkPath::laneMessage(const direct::lane::MessageView& message) {
+    if (ended_) return;
+    const auto events = events_.lock();
+    if (!events) return;
+    Header head;
+    message.into(head);
+    head.entity = entity();
+    events->newDirectMsg(*this, message.keeping, std::move(head), message.content);
+}
+
+void NetworkPath::laneRead() {
+    if (const auto events = events_.lock()) events->directRead();
 }
 
 /// Ice's calls may throw at once; whatever they throw ends the path.
 template <class Use>
-void IceDirectPath::step(Use use) {
+void NetworkPath::step(Use use) {
     if (ended_) return;
     try {
         use();
@@ -108,165 +131,133 @@ void IceDirectPath::step(Use use) {
     }
 }
 
-std::function<void(std::exception_ptr)> IceDirectPath::failure() {
+std::function<void(std::exception_ptr)> NetworkPath::failure() {
     return [self = shared_from_this()](const std::exception_ptr& error) {
         self->close(transport::translate(error).message);
     };
 }
 
-void IceDirectPath::openLane(Lane lane) {
+void NetworkPath::openSignals() {
     step([&] {
-        const auto endpoint =
-            transport::tcpEndpoint(lane == Lane::Data ? offer_.data_endpoint : offer_.signal_endpoint);
         // A connection identifier of its own: a path lives and dies with its connections.
-        auto& gate = end(lane).gate;
-        gate = Ice::uncheckedCast<slice::DirectGatePrx>(
-            home(lane)
-                .communicator->stringToProxy("DirectGate:" + endpoint)
+        signal_.gate = Ice::uncheckedCast<slice::DirectGatePrx>(
+            home_.communicator->stringToProxy("DirectGate:" + transport::tcpEndpoint(offer_.signal_endpoint))
                 ->ice_connectionId(Ice::generateUUID())
                 ->ice_invocationTimeout(timeout_ms_));
-        gate->challengeAsync([self = shared_from_this(),
-                              lane](const Axon::CommUtil::Bytes& nonce) { self->challenged(lane, nonce); },
-                             failure());
+        signal_.gate->challengeAsync(
+            [self = shared_from_this()](const Axon::CommUtil::Bytes& nonce) { self->challenged(nonce); },
+            failure());
     });
 }
 
-void IceDirectPath::challenged(Lane lane, const Axon::CommUtil::Bytes& nonce) {
+void NetworkPath::challenged(const Axon::CommUtil::Bytes& nonce) {
     step([&] {
-        auto& its = end(lane);
-        const auto connection = its.gate->ice_getCachedConnection();
+        const auto connection = signal_.gate->ice_getCachedConnection();
         if (!connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
         const auto number = Id128::fromBytes({reinterpret_cast<const char*>(nonce.data()), nonce.size()});
         if (!number) return close("its nonce is none");
-        connection->setAdapter(home(lane).adapter);
-        if (lane == Lane::Signal) transport::prepareSignalLane(*connection);
+        connection->setAdapter(home_.adapter);
+        transport::prepareSignalLane(*connection);
         const auto callback = Ice::uncheckedCast<slice::DirectCallbackPrx>(
-            home(lane).adapter->addWithUUID(std::make_shared<Callback>(weak_from_this(), lane)));
-        its.callback = callback->ice_getIdentity();
-        its.connection = std::make_shared<transport::DirectConnection>(connection);
-        its.outbox =
-            std::make_shared<transport::Outbox>(lane == Lane::Data ? dataLimits() : transport::OutboxLimits{},
-                                                [weak = weak_from_this()](bool, const std::string& why) {
-                                                    if (const auto self = weak.lock())
-                                                        self->close("its outbox is full: " + why);
-                                                });
+            home_.adapter->addWithUUID(std::make_shared<Callback>(weak_from_this())));
+        signal_.callback = callback->ice_getIdentity();
+        signal_.connection = std::make_shared<transport::DirectConnection>(connection);
+        signal_.outbox = std::make_shared<transport::Outbox>(
+            transport::OutboxLimits{}, [weak = weak_from_this()](bool, const std::string& why) {
+                if (const auto self = weak.lock()) self->close("its outbox is full: " + why);
+            });
         bool late = false;
         {
             const std::lock_guard lock(mutex_);
-            connections_.push_back(its.connection);
+            closing_.emplace_back([its = signal_.connection](const std::string& why) {
+                its->disconnect({false, why}, false);
+            });
             late = ended_;
         }
-        its.connection->onClosed([weak = weak_from_this(), adapter = home(lane).adapter,
-                                  identity = its.callback](const transport::CloseReason& reason) {
+        signal_.connection->onClosed([weak = weak_from_this(), adapter = home_.adapter,
+                                      identity = signal_.callback](const transport::CloseReason& reason) {
             try {
                 adapter->remove(identity);
             } catch (const Ice::Exception&) {  // the communicator is being destroyed, and the servant with it
             }
             if (const auto self = weak.lock()) self->close(reason.text);
         });
-        if (late) return its.connection->disconnect({false, "it has ended"}, false);
+        if (late) return signal_.connection->disconnect({false, "it has ended"}, false);
 
         slice::Opening opening;
-        opening.lane = transport::toIce(lane);
+        opening.lane = transport::toIce(Lane::Signal);
         opening.held = {offer_.lease.epoch, offer_.lease.number};
         opening.client = uuidOf(offer_.client);
         opening.path = toIceBytes(number_.bytes());
-        opening.proof = toIceBytes(proofFor(lane, *number));
-        its.gate->openAsync(
+        opening.proof = toIceBytes(proofFor(Lane::Signal, *number));
+        signal_.gate->openAsync(
             opening, callback,
-            [self = shared_from_this(), lane](const slice::Opened& answer) { self->opened(lane, answer); },
-            failure());
+            [self = shared_from_this()](const slice::Opened& answer) { self->opened(answer); }, failure());
     });
 }
 
-void IceDirectPath::opened(Lane lane, const slice::Opened& answer) {
+void NetworkPath::opened(const slice::Opened& answer) {
     step([&] {
-        auto& its = end(lane);
         if (!answer.session ||
             !trusts({reinterpret_cast<const char*>(answer.proof.data()), answer.proof.size()}))
             return close("who answers does not know the lease's key; is it another machine's address?");
-        its.session =
-            Ice::uncheckedCast<slice::DirectSessionPrx>(its.gate->ice_getCachedConnection()
+        signal_.session =
+            Ice::uncheckedCast<slice::DirectSessionPrx>(signal_.gate->ice_getCachedConnection()
                                                             ->createProxy(answer.session->ice_getIdentity())
                                                             ->ice_oneway()
                                                             ->ice_invocationTimeout(-1));
-        if (lane == Lane::Data) return openLane(Lane::Signal);
         silence.heard(clock_.now());
         open_ = true;
         if (const auto events = events_.lock()) events->directChanged();
     });
 }
 
-void IceDirectPath::close(const std::string& why) {
-    std::vector<std::shared_ptr<transport::DirectConnection>> connections;
+void NetworkPath::close(const std::string& why) {
+    std::vector<std::function<void(const std::string&)>> closing;
     {
         const std::lock_guard lock(mutex_);
         if (ended_) return;
         ended_ = true;
         reason_ = why;
-        connections = std::exchange(connections_, {});
+        closing = std::exchange(closing_, {});
     }
-    for (const auto& connection : connections) connection->disconnect({false, why}, false);
+    for (const auto& closes : closing) closes(why);
     if (const auto events = events_.lock()) events->directChanged();
 }
 
-std::string IceDirectPath::reason() const {
+std::string NetworkPath::reason() const {
     const std::lock_guard lock(mutex_);
     return reason_;
 }
 
-void IceDirectPath::send(Keeping keeping, const Header& head,
-                         std::shared_ptr<const std::string> message) const {
-    if (!isOpen()) return;
-    const bool data = keeping == Keeping::Droppable;
-    const auto call = [data](slice::DirectSessionPrx& to, const Header& its_head, const std::string& its,
-                             SendCallbacks&& back) {
-        const auto range = transport::toRange(its);
-        if (data)
-            to.sendToEntityDataSeqAsync(toDirectHead(its_head), range, nullptr, std::move(back.failed),
-                                        std::move(back.sent));
-        else
-            to.sendToEntityAsync(toDirectHead(its_head), range, nullptr, std::move(back.failed),
-                                 std::move(back.sent));
-    };
-    const auto bytes = kHeadBytes + message->size();
-    data_.outbox->post(
-        data ? Traffic::Data : Traffic::Control, bytes,
-        [&](SendCallbacks&& back) { call(*data_.session, head, *message, std::move(back)); },
-        [&] {
-            backlog_->add(bytes);
-            std::shared_ptr<void> waits(nullptr,
-                                        [backlog = backlog_, bytes](void*) { backlog->remove(bytes); });
-            return transport::Outbox::Parcel([session = data_.session, call, head, message,
-                                              waits = std::move(waits)](SendCallbacks&& back) {
-                call(*session, head, *message, std::move(back));
-            });
-        });
+void NetworkPath::send(Keeping keeping, const Header& head,
+                       std::shared_ptr<const std::string> message) const {
+    if (isOpen()) data_->send(keeping, head, message);
 }
 
 template <class Send>
-void IceDirectPath::post(Traffic traffic, Send send) const {
+void NetworkPath::post(Traffic traffic, Send send) const {
     if (isOpen())
         signal_.outbox->post(traffic, kHeadBytes, send, [send] { return transport::Outbox::Parcel(send); });
 }
 
-void IceDirectPath::sendStopSignal(const Header& head, StopCause cause) const {
+void NetworkPath::sendStopSignal(const Header& head, StopCause cause) const {
     post(Traffic::Signal, [session = signal_.session, its = toDirectHead(head), cause](SendCallbacks&& back) {
         session->sendStopSignalAsync(its, transport::toIce(cause), nullptr, std::move(back.failed),
                                      std::move(back.sent));
     });
 }
-void IceDirectPath::sendResetSignal(const Header& head) const {
+void NetworkPath::sendResetSignal(const Header& head) const {
     post(Traffic::Signal, [session = signal_.session, its = toDirectHead(head)](SendCallbacks&& back) {
         session->sendResetSignalAsync(its, nullptr, std::move(back.failed), std::move(back.sent));
     });
 }
-void IceDirectPath::sendClearSignal(const Header& head) const {
+void NetworkPath::sendClearSignal(const Header& head) const {
     post(Traffic::Signal, [session = signal_.session, its = toDirectHead(head)](SendCallbacks&& back) {
         session->sendClearSignalAsync(its, nullptr, std::move(back.failed), std::move(back.sent));
     });
 }
-void IceDirectPath::beat() const {
+void NetworkPath::beat() const {
     post(Traffic::Heartbeat,
          [session = signal_.session, received = static_cast<double>(passed.load(std::memory_order_acquire)),
           busy = silence.busy()](SendCallbacks&& back) {
