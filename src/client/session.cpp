@@ -13,7 +13,7 @@
 #include "client/base/log.hpp"
 #include "client/connection/communicators.hpp"
 #include "client/connection/server_connection.hpp"
-#include "client/direct/ice_direct_path.hpp"
+#include "client/direct/network_path.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/sessions/routed_session.hpp"
 
@@ -56,12 +56,13 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
     : options_(settled(std::move(options))),
       clock_(std::move(clock)),
       communicators_(std::make_unique<Communicators>()),
+      lane_readers_(std::make_shared<LaneReaders>(*clock_)),
       core_(settingsOf(options_), *clock_, random_, messages_, news_, marks_),
       direct_(*clock_, static_cast<std::size_t>(std::max(options_.direct_paths, 0)),
               [this](const DirectOffer& offer) {
                   const auto connection = connection_.load();
-                  return std::make_shared<IceDirectPath>(
-                      communicators_->data(), communicators_->signal(), offer, Id128::random(random_),
+                  return std::make_shared<NetworkPath>(
+                      lane_readers_, communicators_->signal(), offer, Id128::random(random_),
                       connection ? connection->backlog() : std::make_shared<Backlog>(), *clock_,
                       weak_from_this());
               }),
@@ -280,6 +281,7 @@ void Client::Session::close() {
         entities_changed_.notify_all();
         if (connection && was_up) connection->leave();
         news_.close();
+        lane_readers_->end();
         // Joins Ice's threads, and ends a login that the timer thread may be waiting for.
         communicators_->destroy();
         for (auto* thread : {&threads_.sender, &threads_.timer, &threads_.heartbeat, &threads_.stops})

@@ -28,6 +28,7 @@
 namespace axon::client {
 
 class Communicators;
+class LaneReaders;
 class ServerConnection;
 
 /// The rim around SessionCore: its lock, threads, the connection and its recovery (README.md has the table of
@@ -108,7 +109,7 @@ class Client::Session final : public LeaseOffers,
     void newServerHeartbeat(std::uint64_t attempt) override;
     void closed(std::uint64_t attempt, const std::string& reason) override { lost(attempt, reason); }
 
-    // DirectPathEvents: threads of Ice.
+    // DirectPathEvents: threads of LaneReaders and of Ice.
     void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head,
                       std::string_view message) override;
     void newDirectReceipt(const DirectPath& path, const Header& head, std::string_view message) override;
@@ -144,6 +145,7 @@ class Client::Session final : public LeaseOffers,
     SystemRandom random_;
     SignalMarks marks_;
     const std::unique_ptr<Communicators> communicators_;
+    const std::shared_ptr<LaneReaders> lane_readers_;
     Threads threads_;
 
     // The attempt whose events count; 0 = none. Written under core_mutex_, and before the desk is told.

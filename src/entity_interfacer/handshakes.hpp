@@ -15,7 +15,7 @@
 #include "common/clock.hpp"
 #include "common/descriptor.hpp"
 #include "common/refusal.hpp"
-#include "entity_interfacer/frame.hpp"
+#include "common/frame.hpp"
 #include "host/port_range.hpp"
 
 namespace axon::proto {

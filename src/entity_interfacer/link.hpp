@@ -8,7 +8,7 @@
 #include <mutex>
 #include <string>
 
-#include "entity_interfacer/frame.hpp"
+#include "common/frame.hpp"
 #include "entity_interfacer/wake_up.hpp"
 
 namespace axon::proto {

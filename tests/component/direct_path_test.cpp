@@ -12,6 +12,8 @@
 #include "component/raw_peers.hpp"
 #include "component/with_manager.hpp"
 #include "direct/proof.hpp"
+#include "support/lane_stranger.hpp"
+#include "support/loopback.hpp"
 #include "support/tcp_valve.hpp"
 
 namespace axon {
@@ -388,7 +390,9 @@ TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
 }
 
 namespace slice = ::Axon::DirectComm;
+using test::LaneStranger;
 
+/// At the port of signals.
 class Stranger {
   public:
     explicit Stranger(const std::string& endpoint)
@@ -429,7 +433,6 @@ class Stranger {
   private:
     class Deaf final : public slice::DirectCallback {
         void newEntityMsg(slice::Head, transport::ByteRange, const Ice::Current&) override {}
-        void newEntityMsgDataSeq(slice::Head, transport::ByteRange, const Ice::Current&) override {}
         void newHeartbeat(double, bool, const Ice::Current&) override {}
     };
     Ice::CommunicatorHolder communicator_;
@@ -447,56 +450,73 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     const LeaseNumber lease{static_cast<std::int32_t>(granted.lease().epoch()),
                             static_cast<std::int32_t>(granted.lease().number())};
 
-    Stranger knocks(granted.direct_endpoint());
-    const auto right = [&] {
-        knocks.claim.lane = Lane::Data;
-        knocks.claim.lease = lease;
-        knocks.claim.client = Id128::parse(raw.facts.me.id).value();
-        knocks.claim.path = Id128::random(random_);
+    direct::Claim right{Lane::Data, lease, Id128::parse(raw.facts.me.id).value(), Id128::random(random_), {}};
+    const auto refused = [&](const direct::Claim& claim, const std::string& its_key) {
+        LaneStranger knocks(granted.direct_endpoint());
+        knocks.claim = claim;
+        knocks.awaitNonce();
+        const auto code = knocks.open(its_key);
+        EXPECT_TRUE(knocks.awaitClosed()) << "a connection is for one try";
+        return code;
     };
-    right();
-    EXPECT_EQ(knocks.open(key), RefusalCode::WrongState) << "without a challenge";
-    knocks.challenge();
-    EXPECT_EQ(knocks.open(Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
-    EXPECT_EQ(knocks.open(key), RefusalCode::WrongState) << "a nonce is for one try";
-    knocks.challenge();
-    ++knocks.claim.lease.number;
-    EXPECT_EQ(knocks.open(key), RefusalCode::PermissionDenied);
-    right();
-    knocks.challenge();
-    knocks.claim.client = Id128::uuid(random_);
-    EXPECT_EQ(knocks.open(key), RefusalCode::PermissionDenied);
-    right();
-    knocks.challenge();
-    knocks.claim.lane = Lane::Signal;
-    EXPECT_EQ(knocks.open(key), RefusalCode::Malformed) << "the other port is for that";
-    right();
-    knocks.challenge();
-    knocks.claim.path = Id128{};
-    EXPECT_EQ(knocks.open(key), RefusalCode::Malformed);
+    EXPECT_EQ(refused(right, Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
+    auto wrong = right;
+    ++wrong.lease.number;
+    EXPECT_EQ(refused(wrong, key), RefusalCode::PermissionDenied);
+    wrong = right;
+    wrong.client = Id128::uuid(random_);
+    EXPECT_EQ(refused(wrong, key), RefusalCode::PermissionDenied);
+    wrong = right;
+    wrong.lane = Lane::Signal;
+    EXPECT_EQ(refused(wrong, key), RefusalCode::PermissionDenied) << "the proof is for the other port";
+    wrong = right;
+    wrong.path = Id128{};
+    EXPECT_EQ(refused(wrong, key), RefusalCode::Malformed);
+    {
+        LaneStranger first(granted.direct_endpoint()), second(granted.direct_endpoint());
+        first.claim = second.claim = right;
+        const auto nonce = first.awaitNonce();
+        EXPECT_NE(second.awaitNonce(), nonce);
+        second.claim.nonce = nonce;
+        EXPECT_EQ(second.open(key), RefusalCode::PermissionDenied) << "a nonce is its connection's";
+    }
     {
         Stranger signals(granted.direct_signal_endpoint());
-        signals.claim = knocks.claim;
-        signals.claim.lane = Lane::Signal;
-        signals.claim.path = Id128::random(random_);
+        const auto set = [&] {
+            signals.claim = right;
+            signals.claim.lane = Lane::Signal;
+        };
+        set();
+        EXPECT_EQ(signals.open(key), RefusalCode::WrongState) << "without a challenge";
+        signals.challenge();
+        EXPECT_EQ(signals.open(Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
+        EXPECT_EQ(signals.open(key), RefusalCode::WrongState) << "a nonce is for one try";
+        signals.challenge();
+        signals.claim.lane = Lane::Data;
+        EXPECT_EQ(signals.open(key), RefusalCode::Malformed) << "the other port is for that";
+        set();
+        signals.challenge();
+        signals.claim.path = Id128{};
+        EXPECT_EQ(signals.open(key), RefusalCode::Malformed);
+        set();
         signals.challenge();
         EXPECT_EQ(signals.open(key), RefusalCode::WrongState) << "a signal lane alone";
     }
     EXPECT_FALSE(manager_->direct());
 
-    right();
-    knocks.challenge();
+    LaneStranger knocks(granted.direct_endpoint());
+    knocks.claim = right;
+    knocks.awaitNonce();
     ASSERT_EQ(knocks.open(key), RefusalCode::Ok);
-    EXPECT_TRUE(direct::proves(
-        {reinterpret_cast<const char*>(knocks.opened.proof.data()), knocks.opened.proof.size()}, knocks.claim,
-        direct::Prover::EntityManager, key));
+    EXPECT_TRUE(direct::proves(knocks.proof, knocks.claim, direct::Prover::EntityManager, key));
     // Half a path is none: what goes by it waits for ever.
     EXPECT_FALSE(manager_->direct());
-    // A session is its connection's alone.
-    Stranger thief(granted.direct_endpoint());
-    const auto stolen =
-        Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_connectionId("thief"));
-    EXPECT_THROW(stolen->sendToEntity({}, transport::toRange("x")), Ice::Exception);
+    // A path is its connections' alone.
+    LaneStranger thief(granted.direct_endpoint());
+    thief.awaitNonce();
+    thief.send(direct::Keeping::Kept, {}, "x");
+    EXPECT_EQ(thief.awaitAnswer(), RefusalCode::Malformed);
+    EXPECT_TRUE(thief.awaitClosed());
 
     // After the end of the lease the key opens nothing.
     proto::ToEntity body;
@@ -507,10 +527,7 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     const auto bytes = body.SerializeAsString();
     raw.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
     ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
-    Stranger late(granted.direct_endpoint());
-    late.claim = knocks.claim;
-    late.challenge();
-    EXPECT_EQ(late.open(key), RefusalCode::PermissionDenied);
+    EXPECT_EQ(refused(right, key), RefusalCode::PermissionDenied);
 }
 
 // The servers keep the record of who rearmed.
@@ -518,17 +535,21 @@ TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
     startManager(true, false);
     RawClient raw(server_->clientAddress(Lane::Data));
     const auto granted = test::checkOut(raw, manager_->uuid(), random_);
-    Stranger data(granted.direct_endpoint()), signals(granted.direct_signal_endpoint());
+    LaneStranger data(granted.direct_endpoint());
+    Stranger signals(granted.direct_signal_endpoint());
     const auto path = Id128::random(random_);
-    for (auto* lane : {&data, &signals}) {
-        lane->claim.lane = lane == &data ? Lane::Data : Lane::Signal;
-        lane->claim.lease = {static_cast<std::int32_t>(granted.lease().epoch()),
-                             static_cast<std::int32_t>(granted.lease().number())};
-        lane->claim.client = Id128::parse(raw.facts.me.id).value();
-        lane->claim.path = path;
-        lane->challenge();
-        ASSERT_EQ(lane->open(granted.lease().key()), RefusalCode::Ok);
-    }
+    data.claim = {Lane::Data,
+                  {static_cast<std::int32_t>(granted.lease().epoch()),
+                   static_cast<std::int32_t>(granted.lease().number())},
+                  Id128::parse(raw.facts.me.id).value(),
+                  path,
+                  {}};
+    data.awaitNonce();
+    ASSERT_EQ(data.open(granted.lease().key()), RefusalCode::Ok);
+    signals.claim = data.claim;
+    signals.claim.lane = Lane::Signal;
+    signals.challenge();
+    ASSERT_EQ(signals.open(granted.lease().key()), RefusalCode::Ok);
     proto::ToEntity mark;
     mark.mutable_way()->set_path(path.bytes());
     auto head = raw.headTo(manager_->uuid(), 900);
@@ -536,16 +557,14 @@ TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
     head.held = data.claim.lease;
     const auto bytes = mark.SerializeAsString();
     raw.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
-    double sequence = 1000;
+    std::int64_t sequence = 1000;
     const auto send = [&](const char* msg_type, const proto::ToEntity& message) {
-        slice::Head its;
-        its.msgType = msg_type;
-        its.held = {data.claim.lease.epoch, data.claim.lease.number};
-        its.stopGeneration = 1;
-        its.seq = ++sequence;
-        const auto its_bytes = message.SerializeAsString();
-        Ice::uncheckedCast<slice::DirectSessionPrx>(data.opened.session->ice_oneway())
-            ->sendToEntity(its, transport::toRange(its_bytes));
+        Header its;
+        its.msg_type = msg_type;
+        its.held = data.claim.lease;
+        its.stop_generation = 1;
+        its.sequence = ++sequence;
+        data.send(direct::Keeping::Kept, its, message.SerializeAsString());
     };
     client_ = connect(false);
     ASSERT_TRUE(client_->stop({"PeopleBot"}).ok());

@@ -26,8 +26,8 @@
 #include <utility>
 
 #include "common/descriptor.hpp"
+#include "common/frame.hpp"
 #include "common/ids.hpp"
-#include "entity_interfacer/frame.hpp"
 #include "entity_manager/links/back_end/back_end_interface.hpp"
 #include "support/loopback.hpp"
 

@@ -18,13 +18,16 @@ namespace axon::client {
 
 class DirectPath;
 
-/// What happens on direct paths. On the path's threads: data and signals at the same time, each in order.
+/// What happens on direct paths. On the path's threads: messages and signals at the same time, each in order.
 class DirectPathEvents {
   public:
     virtual ~DirectPathEvents() = default;
     /// head.sender is empty.
     virtual void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head,
                               std::string_view message) = 0;
+    /// What had come has been told by newDirectMsg(). Another thread may read meanwhile: what takes long,
+    /// such as a callback of the user's, belongs here.
+    virtual void directRead() {}
     virtual void newDirectReceipt(const DirectPath& path, const Header& head, std::string_view message) = 0;
     /// It is open now, or has ended: ask it.
     virtual void directChanged() = 0;
@@ -42,7 +45,7 @@ struct DirectOffer {
 /// Two connections with an Entity Manager, data and signals, without the servers in between
 /// (docs/reference/direct.md).
 ///
-/// Where in the flow: beside ServerConnection, for one lease; what carries it is IceDirectPath, or a
+/// Where in the flow: beside ServerConnection, for one lease; what carries it is NetworkPath, or a
 /// simulated network. States: being opened ─► open ─► ended, or at once ended; it does not come back, another
 /// attempt is another path. Threads: any. Nothing waits. Ownership: shared, because what comes may be under
 /// way when it ends. Failure: it ends, with a reason.

@@ -26,9 +26,9 @@
 
 #include "common/backoff.hpp"
 #include "common/descriptor.hpp"
+#include "common/frame.hpp"
 #include "common/snapshot.hpp"
 #include "common/watchdog.hpp"
-#include "entity_interfacer/frame.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 
 namespace axon::entity_manager {

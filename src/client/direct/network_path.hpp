@@ -12,19 +12,23 @@
 #include "client/connection/backlog.hpp"
 #include "client/connection/server_connection.hpp"
 #include "client/direct/direct_path.hpp"
+#include "client/direct/framed_lane.hpp"
+#include "client/direct/lane_readers.hpp"
 #include "transport/ice/peer_connection.hpp"
 #include "transport/outbox/outbox.hpp"
 
 namespace axon::client {
 
-/// A direct path over Ice, on the communicators of the session. Nothing waits: it is opened by asynchronous
-/// calls, what is sent goes to the socket from the caller's thread or into the lane's outbox.
-class IceDirectPath final : public DirectPath, public std::enable_shared_from_this<IceDirectPath> {
+/// A direct path over the network: frames on the data lane, read by the session's LaneReaders, and Ice on the
+/// signal lane, on the communicator of the session. Nothing waits: each lane is opened by what answers, what
+/// is sent goes to the socket from the caller's thread or into the lane's outbox.
+class NetworkPath final : public DirectPath,
+                          private FramedLane::Owner,
+                          public std::enable_shared_from_this<NetworkPath> {
   public:
-    IceDirectPath(const LaneHome& data, const LaneHome& signal, DirectOffer offer, Id128 number,
-                  std::shared_ptr<Backlog> backlog, const Clock& clock,
-                  std::weak_ptr<DirectPathEvents> events);
-    ~IceDirectPath() override;
+    NetworkPath(std::shared_ptr<LaneReaders> readers, const LaneHome& signal, DirectOffer offer, Id128 number,
+                std::shared_ptr<Backlog> backlog, const Clock& clock, std::weak_ptr<DirectPathEvents> events);
+    ~NetworkPath() override;
 
     void open(Duration timeout) override;
     std::string reason() const override;
@@ -38,33 +42,40 @@ class IceDirectPath final : public DirectPath, public std::enable_shared_from_th
 
   private:
     class Callback;
-    struct LaneEnd {
+    struct SignalLane {
         std::shared_ptr<Axon::DirectComm::DirectGatePrx> gate;
         std::shared_ptr<transport::DirectConnection> connection;
         std::shared_ptr<Axon::DirectComm::DirectSessionPrx> session;  // oneway
         std::shared_ptr<transport::Outbox> outbox;
         Ice::Identity callback;
     };
-    void openLane(Lane lane);
-    void challenged(Lane lane, const Axon::CommUtil::Bytes& nonce);
-    void opened(Lane lane, const Axon::DirectComm::Opened& its);
-    LaneEnd& end(Lane lane) { return lane == Lane::Data ? data_ : signal_; }
-    const LaneHome& home(Lane lane) const { return lane == Lane::Data ? data_home_ : signal_home_; }
+
+    // FramedLane::Owner.
+    void laneOpen() override { openSignals(); }
+    void laneMessage(const direct::lane::MessageView& message) override;
+    void laneRead() override;
+    void laneOver(const std::string& why) override { close(why); }
+
+    void openSignals();
+    void challenged(const Axon::CommUtil::Bytes& nonce);
+    void opened(const Axon::DirectComm::Opened& its);
     std::function<void(std::exception_ptr)> failure();
     template <class Use>
     void step(Use use);
     template <class Send>
     void post(transport::Traffic traffic, Send send) const;
 
-    const LaneHome data_home_, signal_home_;
+    const std::shared_ptr<LaneReaders> readers_;
+    const LaneHome home_;  // of signals
     const std::shared_ptr<Backlog> backlog_;
     const std::weak_ptr<DirectPathEvents> events_;
     int timeout_ms_ = 0;
     // Each written by one step of the opening, and read after open_ by others.
-    LaneEnd data_, signal_;
+    std::shared_ptr<FramedLane> data_;
+    SignalLane signal_;
     mutable std::mutex mutex_;
     // Guarded by mutex_: what is to be closed, as far as it is there, and why it was.
-    std::vector<std::shared_ptr<transport::DirectConnection>> connections_;
+    std::vector<std::function<void(const std::string& why)>> closing_;
     std::string reason_;
 };
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT
-#include "entity_interfacer/frame.hpp"
+#include "common/frame.hpp"
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <vector>
 
 namespace axon {
@@ -81,6 +82,62 @@ TEST(Frame, ALowerLimitHoldsUntilItIsRaised) {
     wide.setLimit(100);
     wide.feed(stream);
     EXPECT_EQ(allFrames(wide).size(), 1U);
+}
+
+/// As a socket would: at most `piece` bytes into the room.
+std::size_t put(FrameReader& reader, std::string_view stream, std::size_t piece) {
+    const auto room = reader.room();
+    const auto count = std::min({piece, stream.size(), room.size()});
+    std::copy_n(stream.begin(), count, room.begin());
+    reader.filled(count);
+    return count;
+}
+
+TEST(Frame, WhatIsPutIntoTheRoomIsReadAsWhatIsFed) {
+    std::string stream;
+    std::vector<std::string> sent;
+    for (std::size_t i = 1; i < 300; ++i) {
+        sent.push_back(std::string(i * i % 7001 + 1, static_cast<char>('a' + i % 26)));
+        appendFrame(stream, sent.back());
+    }
+    for (const std::size_t piece : {1U, 3U, 4096U, 70'000U, 10'000'000U}) {
+        FrameReader reader;
+        std::vector<std::string> got;
+        for (std::size_t at = 0; at < stream.size();) {
+            at += put(reader, std::string_view(stream).substr(at), piece);
+            while (const auto frame = reader.nextView()) got.emplace_back(*frame);
+        }
+        ASSERT_EQ(got, sent) << "in pieces of " << piece;
+    }
+}
+
+TEST(Frame, TheRoomTakesTheRestOfTheFrameThatHasBegun) {
+    std::string stream;
+    appendFrame(stream, std::string(kFrameMax, 'x'));
+    FrameReader reader;
+    EXPECT_EQ(put(reader, stream, 5), 5U);
+    EXPECT_FALSE(reader.nextView());
+    EXPECT_GE(reader.room().size(), stream.size() - 5);
+    FrameReader strict(4096);
+    put(strict, stream, 5);
+    EXPECT_LT(strict.room().size(), 100'000U) << "a frame that is too long gets no memory";
+    EXPECT_FALSE(strict.nextView());
+    EXPECT_TRUE(strict.failed());
+    EXPECT_FALSE(strict.room().empty());
+}
+
+TEST(Frame, ReadsThatFillTheRoomAreFollowedByLargerOnes) {
+    FrameReader reader;
+    const auto first = reader.room().size();
+    std::string stream;
+    while (stream.size() < 4 * FrameReader::kReadMax) appendFrame(stream, std::string(1000, 'x'));
+    for (std::size_t at = 0; at < stream.size();) {
+        at += put(reader, std::string_view(stream).substr(at), stream.size());
+        while (reader.nextView()) {
+        }
+    }
+    EXPECT_GT(reader.room().size(), first);
+    EXPECT_LE(reader.room().size(), 3 * FrameReader::kReadMax);
 }
 
 }  // namespace
