@@ -40,11 +40,9 @@ bool CallbackQueue::post(std::function<void()> callback, bool may_be_left_out) {
 }
 
 void CallbackQueue::wake() {
-    {
-        const std::lock_guard lock(mutex_);
-        if (runner_ != std::thread::id{}) return;  // it looks again before it ends
-        woken_ = true;
-    }
+    const std::lock_guard lock(mutex_);
+    if (runner_ != std::thread::id{}) return;  // it looks again before it ends
+    woken_ = true;
     changed_.notify_all();
 }
 
@@ -52,10 +50,6 @@ void CallbackQueue::runHere() {
     std::unique_lock lock(mutex_);
     if (runner_ != std::thread::id{}) return;
     run(lock, kRunHere);
-    woken_ = !queue_.empty();
-    const bool leaves = closed_ || woken_;
-    lock.unlock();
-    if (leaves) changed_.notify_all();
 }
 
 bool CallbackQueue::isThisThread() const {
@@ -87,9 +81,7 @@ void CallbackQueue::runOnOwnThread() {
     while (true) {
         changed_.wait(lock, [this] { return closed_ || (woken_ && runner_ == std::thread::id{}); });
         if (closed_) return;
-        woken_ = false;
         run(lock, kMost);
-        if (closed_) return changed_.notify_all();
     }
 }
 
@@ -104,11 +96,16 @@ void CallbackQueue::run(std::unique_lock<std::mutex>& lock, std::size_t most) {
             entry.callback();
         } catch (const std::exception& error) {
             log().warn("client: a callback of the program threw: {}", error.what());
+        } catch (...) {
+            log().warn("client: a callback of the program threw something that is not a std::exception");
         }
         entry.callback = nullptr;
         lock.lock();
     }
     runner_ = {};
+    woken_ = !queue_.empty();
+    // Under the lock: close(), which may be followed by the destructor, goes on after it.
+    if (closed_ || woken_) changed_.notify_all();
 }
 
 }  // namespace axon::client

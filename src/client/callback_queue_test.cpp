@@ -47,6 +47,7 @@ class CallbackQueueTest : public ::testing::Test {
     }
 
     std::vector<int> called;  // on its thread, until comeBack() has returned
+    std::atomic<std::size_t> returned{0};
     std::promise<void> back_;
     CallbackQueue queue;  // last: its thread uses the others
 };
@@ -72,10 +73,14 @@ TEST_F(CallbackQueueTest, WhatAClientHearsOfAtOnceWhenItJoinsFits) {
 }
 
 TEST_F(CallbackQueueTest, BeyondThatTheProgramDoesNotReturn) {
-    for (std::size_t i = 0; i < CallbackQueue::kMost; ++i) ASSERT_TRUE(queue.post([] {}, false));
+    for (std::size_t i = 0; i < CallbackQueue::kMost; ++i)
+        ASSERT_TRUE(queue.post([this] { ++returned; }, false));
     EXPECT_FALSE(post(1, false));
     EXPECT_TRUE(post(2, true));
+    queue.wake();
     back_.set_value();
+    while (returned < CallbackQueue::kMost) std::this_thread::yield();  // without any further news
+    EXPECT_THAT(called, ElementsAre());
 }
 
 TEST_F(CallbackQueueTest, WhatACallbackThrowsEndsNothing) {
@@ -86,8 +91,8 @@ TEST_F(CallbackQueueTest, WhatACallbackThrowsEndsNothing) {
 }
 
 TEST(CallbacksWhereTheNewsCame, RunOnTheCallingThreadInTheirOrder) {
-    CallbackQueue queue;
     std::vector<std::pair<int, std::thread::id>> called;
+    CallbackQueue queue;  // last: its thread uses the others
     const auto note = [&](int number) { called.emplace_back(number, std::this_thread::get_id()); };
     queue.post([&] { note(1); }, false);
     queue.post(
@@ -118,9 +123,9 @@ TEST_F(CallbackQueueTest, WhileOneRunsAnotherThreadRunsNone) {
 }
 
 TEST(CallbacksWhereTheNewsCame, WhatIsTooMuchForTheCallerRunsOnTheOtherThread) {
-    CallbackQueue queue;
     std::vector<std::thread::id> called;
     std::promise<void> last;
+    CallbackQueue queue;
     for (std::size_t i = 0; i < CallbackQueue::kRunHere + 1; ++i)
         queue.post([&] { called.push_back(std::this_thread::get_id()); }, false);
     queue.post([&] { last.set_value(); }, false);
@@ -134,9 +139,9 @@ TEST(CallbacksWhereTheNewsCame, WhatIsTooMuchForTheCallerRunsOnTheOtherThread) {
 }
 
 TEST(CallbacksWhereTheNewsCame, ClosingWaitsForTheOneThatRuns) {
-    CallbackQueue queue;
     std::promise<void> entered, back;
     std::atomic<bool> ended{false}, called_later{false};
+    CallbackQueue queue;
     queue.post(
         [&] {
             entered.set_value();
@@ -162,10 +167,10 @@ TEST(CallbacksWhereTheNewsCame, ClosingWaitsForTheOneThatRuns) {
 /// their order, and all of them.
 TEST(CallbacksWhereTheNewsCame, OfManyThreadsOneAtATimeAndAllInOrder) {
     constexpr int kThreads = 4, kEach = 2000;
-    CallbackQueue queue;
     std::atomic<int> inside{0}, called{0};
     std::array<int, kThreads> last{};
     std::promise<void> all;
+    CallbackQueue queue;
     std::vector<std::thread> threads;
     for (int thread = 0; thread < kThreads; ++thread)
         threads.emplace_back([&, thread] {

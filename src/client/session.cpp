@@ -95,7 +95,7 @@ Client::Session::Leaving Client::Session::collect(Sends sends) {
     leaving.wake_timer = threads_.timer.turn.mustWakeFor(deadline);
     leaving.wake_heartbeat = threads_.heartbeat.turn.mustWakeFor(core_.nextHeartbeat());
     leaving.messages = messages_.collect(sends == Sends::Here);
-    leaving.told = news_.takeTold();
+    leaving.told = news_.takeTold() && sends != Sends::Reader;
     return leaving;
 }
 
@@ -427,9 +427,13 @@ void Client::Session::newDirectMsg(const DirectPath& path, direct::Keeping keepi
             arrival = direct_.arrived(path, keeping, head, message);
             if (arrival.pass) core.onEntityMsg(head, message, false);
         },
-        Sends::Sender);
+        Sends::Reader);
     if (arrival.close) arrival.close->close(arrival.why);
     if (arrival.acknowledge) path.beat();
+}
+
+void Client::Session::directRead() {
+    news_.runHere();
 }
 
 void Client::Session::newDirectReceipt(const DirectPath&, const Header& head, std::string_view message) {

@@ -52,8 +52,9 @@ class Client::Session final : public LeaseOffers,
 
     /// Which thread sends the messages of a use of the core: the calling thread, if it is the user's and does
     /// not send fast, or the sender's thread. The threads of heartbeats, deadlines and signals send no data,
-    /// so that a flood on the data lane cannot hold them up.
-    enum class Sends : std::uint8_t { Here, Sender };
+    /// so that a flood on the data lane cannot hold them up. Reader: as Sender; and the callbacks of what the
+    /// program is told run in directRead().
+    enum class Sends : std::uint8_t { Here, Sender, Reader };
     /// Runs `use` on the core under its lock; then what it gave to send leaves (depart()).
     template <class Use>
     auto withCore(Use&& use, Sends sends = Sends::Here) {
@@ -112,6 +113,7 @@ class Client::Session final : public LeaseOffers,
     // DirectPathEvents: threads of LaneReaders and of Ice.
     void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head,
                       std::string_view message) override;
+    void directRead() override;
     void newDirectReceipt(const DirectPath& path, const Header& head, std::string_view message) override;
     void directChanged() override;
 

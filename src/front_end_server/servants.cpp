@@ -41,7 +41,7 @@ void IceClientOutbox::newBasicPrflMsg(Presence presence, const Registration& reg
 }
 
 void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
-    sender_.send(Traffic::Control, 0, forward<Prx>(&Prx::newStatusMsgAsync, toIce(status)));
+    sender_.send(Traffic::Control, textBytes(status), forward<Prx>(&Prx::newStatusMsgAsync, toIce(status)));
 }
 
 bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message,

@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include <axon/client.hpp>
+#include <future>
 
 #include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
@@ -85,6 +86,27 @@ TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
     ASSERT_TRUE(waitUntil([&] { return heard == 1; }));
     EXPECT_GT(directBytes(), before + 20000);
     EXPECT_EQ(seen_.texts.front(), text);
+}
+
+TEST_F(DirectPathTest, ACallbackThatDoesNotReturnHoldsUpNoAnswer) {
+    startManager();
+    const auto held = take();
+    std::promise<void> entered, back;
+    std::atomic<int> heard{0};
+    held.onText([&](const std::string&) {
+        if (++heard != 1) return;
+        entered.set_value();
+        back.get_future().wait();
+    });
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    robot_->text("first");
+    entered.get_future().wait();
+    robot_->text("second");
+    EXPECT_EQ(held.run("Fly").report().reason.code, RefusalCode::UnknownService);
+    EXPECT_TRUE(direct(held)) << "the path ended instead";
+    EXPECT_EQ(heard, 1) << "two callbacks at once";
+    back.set_value();
+    ASSERT_TRUE(waitUntil([&] { return heard == 2; }));
 }
 
 TEST_F(DirectPathTest, TasksAndTheirRefusalsAreTheSameByEitherWay) {

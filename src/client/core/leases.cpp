@@ -54,7 +54,7 @@ bool Leases::orphaned(const Held& held) const {
 Refusal Leases::notHolder(const Held& held) const {
     return {RefusalCode::NotHolder,
             "This client does not hold " + parts_.entities.label(held.entity) +
-                ", or no longer. Check it out first.",
+                ", or no longer does. Check it out first.",
             {}};
 }
 

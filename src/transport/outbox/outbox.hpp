@@ -22,7 +22,7 @@ struct SendCallbacks {
 enum class Until : std::uint8_t {
     Written,  ///< to the socket
     /// Control and data: answered by the consumer. A router takes whatever it is sent, and its memory has no
-    /// bound but this one. Signals and heartbeats never wait for an answer.
+    /// bound but this one (and sendAll() goes beyond it). Signals and heartbeats never wait for an answer.
     Answered
 };
 

@@ -344,7 +344,7 @@ void Teamwork::hearMaster(const Sender& master, const proto::FromMaster& message
             depart(master, message.run_id(),
                    left ? past->reason
                         : Refusal{RefusalCode::NotHolder,
-                                  "The entity does not take part in this run, or no longer.",
+                                  "The entity does not take part in this run, or no longer does.",
                                   {}});
         }
         return;

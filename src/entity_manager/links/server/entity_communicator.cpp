@@ -160,7 +160,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void sendStatus(const EntityStatus& status) {
         if (!up_) return;
         const bool busy = status.state == EntityState::BUSY;
-        data_outbox_->send(Traffic::Control, 0,
+        data_outbox_->send(Traffic::Control, textBytes(status),
                            forward<EntitySessionPrx>(&EntitySessionPrx::sendStatusAsync, toIce(status)));
         if (std::exchange(busy_, busy) != busy) keepAlive();
     }
