@@ -402,7 +402,7 @@ void Ownership::considerHandOver(const Incident& incident) {
     const auto& said = incident.body->hand_over_answer();
     if (!hand_over_.open() || hand_over_.open()->claim.request_id != said.request_id()) {
         turn_.refuse(incident,
-                     {RefusalCode::Expired, "Nobody asks for it with this request, or no longer does.", {}});
+                     {RefusalCode::Expired, "Nobody asks for it with this request (any more).", {}});
         return;
     }
     decideHandOver(*hand_over_.take(), said.accept(), said.reason());

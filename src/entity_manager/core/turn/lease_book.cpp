@@ -91,7 +91,7 @@ Refusal LeaseBook::mayTake(const Sender& sender, const std::string& request_id) 
 Refusal LeaseBook::mayCommit(const Sender& sender, const std::string& request_id) const {
     if (reservedFor(sender, request_id)) return {};
     if (auto refusal = mayTake(sender, request_id); !refusal.ok()) return refusal;
-    return {RefusalCode::Expired, "There is no reservation of this check-out, or it has expired. Reserve again.", {}};
+    return {RefusalCode::Expired, "There is no reservation of this check-out (any more). Reserve again.", {}};
 }
 
 Refusal LeaseBook::mayResume(LeaseNumber number, std::string_view key) const {
