@@ -18,7 +18,6 @@
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot_table.hpp"
-#include "common/watchdog.hpp"
 #include "entity_server/ports.hpp"
 
 namespace axon::entity_server {
