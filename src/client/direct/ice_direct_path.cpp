@@ -191,7 +191,7 @@ void IceDirectPath::opened(Lane lane, const slice::Opened& answer) {
                                                             ->ice_oneway()
                                                             ->ice_invocationTimeout(-1));
         if (lane == Lane::Data) return openLane(Lane::Signal);
-        silence.heard(clock_.now());
+        liveness.heard(clock_.now());
         open_ = true;
         if (const auto events = events_.lock()) events->directChanged();
     });
@@ -269,7 +269,7 @@ void IceDirectPath::sendClearSignal(const Header& head) const {
 void IceDirectPath::beat() const {
     post(Traffic::Heartbeat,
          [session = signal_.session, received = static_cast<double>(passed.load(std::memory_order_acquire)),
-          busy = silence.busy()](SendCallbacks&& back) {
+          busy = liveness.busy()](SendCallbacks&& back) {
              session->keepAliveAsync(received, busy, nullptr, std::move(back.failed), std::move(back.sent));
          });
 }
