@@ -37,10 +37,6 @@ constexpr std::size_t kNameMax = 255;
 constexpr std::size_t kNotesMax = 32;
 constexpr auto kStopAgain = 200ms;  // a stop callback that threw
 
-std::int64_t nanoseconds(TimePoint t) {
-    return t.time_since_epoch().count();
-}
-
 /// Threads of the library leave signals to the application's own.
 template <class Body>
 std::thread quietThread(const char* name, Body body) {
@@ -302,7 +298,7 @@ void Communicator::stopThread() {
             if (signal_link_) {
                 baseline_known_ = false;
                 level_.adopt(0);
-                manager_heard_.allow({}, now());  // no gap reaches from one link into the next
+                manager_.suspendGaps();  // no gap reaches from one link into the next
                 signal_link_->epoch = level_.epoch();
                 {
                     // Only now: data of this link is judged by this level.
@@ -349,7 +345,7 @@ void Communicator::readSignals(Link& link) {
 void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     if (message.has_stop()) {
         const auto& stop = message.stop();
-        heard_ns_ = nanoseconds(now());
+        manager_.renew(now());
         if (stop.cause() == proto::STOP_DRILL) {
             proto::EiToEm done;
             done.mutable_stop_done()->set_drill(stop.drill());
@@ -366,10 +362,12 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     if (!message.has_beat())
         return link.cut("unexpected message on the signal connection: only beats and stops belong there");
     const auto& beat = message.beat();
-    heard_ns_ = nanoseconds(now());
-    manager_heard_.allow(beat.busy() ? link.watchdog_busy : link.watchdog_idle, now());
-    manager_heard_.heard(now());
-    if (busy_.exchange(beat.busy()) != beat.busy()) watch_wake_.wake();
+    const bool other_pace = manager_.busy() != beat.busy();
+    const auto time = now();
+    manager_.setBusy(beat.busy(), time);
+    manager_.resumeGaps(time);
+    manager_.heard(time);
+    if (other_pace) watch_wake_.wake();
     if (!baseline_known_) {
         baseline_known_ = true;
         level_.adopt(beat.stop_generation());
@@ -404,8 +402,8 @@ void Communicator::callStop(const StopSignal& called) {
     call_again_ = thrown.empty() ? TimePoint{} : now() + kStopAgain;
     const bool failed_before = stop_failed_.exchange(!thrown.empty());
     if (over) level_.settle();
-    heard_ns_ = nanoseconds(now());
-    manager_heard_.allow({}, now());  // nobody listened while the callback ran
+    manager_.renew(now());
+    manager_.suspendGaps();  // nobody listened while the callback ran
     in_callback_ = false;
     if (!thrown.empty() && !failed_before)
         note(LogLevel::Error, "the stop callback has not stopped the robot (" + thrown +
@@ -498,9 +496,10 @@ std::optional<std::string> Communicator::linkedWith() const {
 void Communicator::linkWith(Handshakes::Pair pair) {
     watched_ = std::make_shared<Link>(std::move(pair.signal), std::move(pair.signal_reader),
                                       std::move(pair.data), std::move(pair.data_reader), pair.manager,
-                                      pair.watchdog_busy, pair.watchdog_idle, data_wake_);
-    heard_ns_ = nanoseconds(now());
-    busy_ = false;
+                                      data_wake_);
+    manager_.setTimeouts(pair.watchdog_busy, pair.watchdog_idle, now());
+    manager_.setBusy(false, now());
+    manager_.suspendGaps();  // until the first beat
     next_beat_ = now();
     {
         const std::lock_guard lock(signal_handover_mutex_);
@@ -510,15 +509,15 @@ void Communicator::linkWith(Handshakes::Pair pair) {
 }
 
 void Communicator::beat() {
-    const bool busy = busy_;
-    next_beat_ = now() + (busy ? watched_->watchdog_busy : watched_->watchdog_idle) / 5;
+    const bool busy = manager_.busy();
+    next_beat_ = now() + manager_.timeout() / 5;
     proto::EiToEm message;
     auto& beat = *message.mutable_beat();
     beat.set_sequence(++beat_sequence_);
     beat.set_busy(busy);
     beat.set_stop_generation(level_.stopped());
     beat.set_stopped(level_.settled());
-    const auto gap = manager_heard_.longest(now());
+    const auto gap = manager_.longest(now());
     beat.set_longest_gap_ms(
         static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
     beat.set_allowed_ms(
@@ -529,21 +528,20 @@ void Communicator::beat() {
 void Communicator::checkSilence() {
     if (in_callback_) return;  // the stop thread cannot listen while the application's callback has it
     const auto time = now();
-    const auto heard = TimePoint{Duration{heard_ns_.load()}};
-    const auto timeout = busy_ ? watched_->watchdog_busy : watched_->watchdog_idle;
-    const auto silent = time - heard;
-    if (silent < timeout) {
-        if (silent > timeout * 3 / 5 && time >= slow_warn_again_) {
-            slow_warn_again_ = time + LifeSigns::kWarnAgain;
+    const auto deadline = manager_.deadline();
+    const auto timeout = std::chrono::duration_cast<std::chrono::milliseconds>(manager_.timeout());
+    if (time < deadline) {
+        if (time >= manager_.lateFrom() && time >= slow_warn_again_) {
+            slow_warn_again_ = time + Liveness::kWarnAgain;
             note(LogLevel::Warning,
                  "heartbeats of the Entity Manager come late (after more than half of the watchdog's " +
                      std::to_string(timeout.count()) + " ms); this machine is overloaded");
         }
-        next_beat_ = std::min(next_beat_, heard + timeout);
+        next_beat_ = std::min(next_beat_, deadline);
         return;
     }
     int unread = 0;
-    if (silent < timeout + kSlack && ::ioctl(watched_->signalFd(), FIONREAD, &unread) == 0 && unread > 0) {
+    if (time < deadline + kSlack && ::ioctl(watched_->signalFd(), FIONREAD, &unread) == 0 && unread > 0) {
         next_beat_ = std::min(next_beat_, time + 2ms);
         return;
     }

@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "common/clock.hpp"
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "entity_interfacer/handshakes.hpp"
 #include "entity_interfacer/link.hpp"
@@ -183,10 +183,8 @@ class Communicator : private Handshakes::Others {
     std::atomic<unsigned> faults_{0};
 
     // Written by the stop thread, read by the watch thread
-    std::atomic<std::int64_t> heard_ns_{0};
-    std::atomic<bool> busy_{false};
+    Liveness manager_;  // of the Entity Manager; the watch thread judges it, and sets it up for each link
     std::atomic<bool> in_callback_{false};
-    LifeSigns manager_heard_;
 
     // Links on their way from the watch thread to the stop thread, and from there to the data thread
     std::mutex signal_handover_mutex_, data_handover_mutex_;

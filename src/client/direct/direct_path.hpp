@@ -52,7 +52,7 @@ struct DirectOffer {
 class DirectPath {
   public:
     DirectPath(DirectOffer offer, Id128 number, const Clock& clock)
-        : silence(clock.now()),
+        : liveness(direct::livenessOfEnd(clock.now())),
           clock_(clock),
           offer_(std::move(offer)),
           number_(number),
@@ -93,9 +93,9 @@ class DirectPath {
     std::pair<TimePoint, bool> beatIfDue(bool moving, bool permitted) {
         const auto now = clock_.now();
         const bool busy = moving || now.time_since_epoch().count() < lively_until_;
-        const bool faster = busy && !silence.busy();
+        const bool faster = busy && !liveness.busy();
         permitted_ = permitted;
-        silence.setBusy(busy, now);
+        liveness.setBusy(busy, now);
         if (faster || now >= beat_at_) {
             beat_at_ = now + (busy ? direct::kBeatBusy : direct::kBeatIdle);
             if (permitted) beat();
@@ -104,14 +104,14 @@ class DirectPath {
     }
 
     // What its threads and its user's share; no lock, so that no beat waits.
-    direct::Silence silence;                    ///< of the Entity Manager
+    Liveness liveness;                          ///< of the Entity Manager
     std::atomic<std::int64_t> acknowledged{0};  ///< by the Entity Manager
     std::atomic<std::int64_t> passed{0};        ///< to the core, for the next beat
 
   protected:
     /// The Entity Manager's beat.
     void heard(std::int64_t received, bool asks) {
-        silence.heard(clock_.now());
+        liveness.heard(clock_.now());
         acknowledged.store(received, std::memory_order_relaxed);
         if (asks && permitted_) beat();
     }

@@ -206,7 +206,7 @@ void NetworkPath::opened(const slice::Opened& answer) {
                                                             ->createProxy(answer.session->ice_getIdentity())
                                                             ->ice_oneway()
                                                             ->ice_invocationTimeout(-1));
-        silence.heard(clock_.now());
+        liveness.heard(clock_.now());
         open_ = true;
         if (const auto events = events_.lock()) events->directChanged();
     });
@@ -260,7 +260,7 @@ void NetworkPath::sendClearSignal(const Header& head) const {
 void NetworkPath::beat() const {
     post(Traffic::Heartbeat,
          [session = signal_.session, received = static_cast<double>(passed.load(std::memory_order_acquire)),
-          busy = silence.busy()](SendCallbacks&& back) {
+          busy = liveness.busy()](SendCallbacks&& back) {
              session->keepAliveAsync(received, busy, nullptr, std::move(back.failed), std::move(back.sent));
          });
 }

@@ -16,16 +16,16 @@ namespace axon::entity_manager {
 
 /// What the threads of a path's two lanes and the strand share. No lock: a beat waits for nobody.
 struct DirectSigns {
-    explicit DirectSigns(TimePoint now) : silence(now) {}
+    explicit DirectSigns(TimePoint now) : liveness(direct::livenessOfEnd(now)) {}
     /// The client's beat. Whether its next ones come faster.
     bool heard(TimePoint now, std::int64_t received, bool busy) {
-        silence.heard(now);
+        liveness.heard(now);
         acknowledged.store(received, std::memory_order_relaxed);
-        const bool faster = busy && !silence.busy();
-        silence.setBusy(busy, now);
+        const bool faster = busy && !liveness.busy();
+        liveness.setBusy(busy, now);
         return faster;
     }
-    direct::Silence silence;                    ///< of the client
+    Liveness liveness;                          ///< of the client
     std::atomic<std::int64_t> acknowledged{0};  ///< by the client
     std::atomic<std::int64_t> passed{0};        ///< to the core, for the answer to a beat
 };

@@ -32,7 +32,8 @@ Presence::Presence(Turn& turn, ServerPort& server, const Settings& settings)
     : turn_(turn),
       server_(server),
       entity_(settings.entity),
-      watchdog_(settings.watchdog_busy, settings.watchdog_idle, turn.now()) {
+      liveness_(settings.watchdog_busy, settings.watchdog_idle, turn.now()) {
+    liveness_.suspendGaps();  // until there is a session
     registration_.entity = entity_;
     registration_.name =
         isEntityName(settings.application) ? settings.application : inQuotes(settings.application);
@@ -68,49 +69,46 @@ void Presence::sessionEnded(const std::string& reason) {
 
 void Presence::up() {
     up_ = true;
-    signs_.allow(watchdog_.timeout(), turn_.now());
+    liveness_.resumeGaps(turn_.now());
     heard();
     told_.reset();
 }
 
 void Presence::heard() {
-    watchdog_.feed(turn_.now());
-    signs_.heard(turn_.now());
+    liveness_.heard(turn_.now());
 }
 
 void Presence::setBusy(bool busy) {
-    if (!AXON_PLANTED(WatchdogAlwaysIdle)) watchdog_.setBusy(busy, turn_.now());
-    signs_.allow(up_ ? watchdog_.timeout() : Duration{}, turn_.now());
+    if (!AXON_PLANTED(WatchdogAlwaysIdle)) liveness_.setBusy(busy, turn_.now());
+    if (!up_) liveness_.suspendGaps();
 }
 
 std::optional<std::string> Presence::whySilent() {
-    if (!up_ || !watchdog_.expired(turn_.now())) return std::nullopt;
+    if (!up_ || !liveness_.expired(turn_.now())) return std::nullopt;
     silent_ = true;
     return "it has been silent for " +
-           std::to_string(std::chrono::duration_cast<milliseconds>(watchdog_.timeout()).count()) + " ms";
+           std::to_string(std::chrono::duration_cast<milliseconds>(liveness_.timeout()).count()) + " ms";
 }
 
 /// Before the watchdog trips, and seldom.
 TimePoint Presence::warnAt() const {
-    const auto at = watchdog_.deadline() -
-                    std::chrono::duration_cast<Duration>(watchdog_.timeout() * (1 - LifeSigns::kWarnFrom));
-    return std::max(at, warn_again_);
+    return std::max(liveness_.lateFrom(), warn_again_);
 }
 
 void Presence::onTimer() {
     const auto now = turn_.now();
     if (up_ && now >= warnAt()) {
-        warn_again_ = now + LifeSigns::kWarnAgain;
-        turn_.warn("the server: " + describe(signs_.longest(now)) +
+        warn_again_ = now + Liveness::kWarnAgain;
+        turn_.warn("the server: " + describe(liveness_.longest(now)) +
                    "; above that the robot stops. The network or one of the two hosts is overloaded");
     }
-    if (!watchdog_.expired(now)) sendPosition();
+    if (!liveness_.expired(now)) sendPosition();
     if (const auto why = whySilent()) sessionEnded(*why);
 }
 
 TimePoint Presence::nextDeadline() const {
     auto next = TimePoint::max();
-    if (up_) next = std::min({next, watchdog_.deadline(), warnAt()});
+    if (up_) next = std::min({next, liveness_.deadline(), warnAt()});
     if (rest_told_at_) next = std::min(next, *rest_told_at_);
     if (position_waits_ && up_ && ready_) next = std::min(next, position_sent_ + kPositionPeriod);
     return next;
@@ -118,7 +116,7 @@ TimePoint Presence::nextDeadline() const {
 
 std::optional<HopMargin> Presence::margin() const {
     if (!up_) return std::nullopt;
-    return HopMargin{"entity manager watches server", signs_.longest(turn_.now())};
+    return HopMargin{"entity manager watches server", liveness_.longest(turn_.now())};
 }
 
 void Presence::describeWatchdogs(std::vector<HopMargin> others, proto::EntityStatus& status) const {

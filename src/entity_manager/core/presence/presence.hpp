@@ -6,9 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "common/routed.hpp"
-#include "common/watchdog.hpp"
 #include "entity_manager/core/turn/turn.hpp"
 #include "entity_manager/ports/ports.hpp"
 
@@ -86,8 +85,7 @@ class Presence final : public Owner {
     const std::string entity_;
     bool up_ = false;
     bool silent_ = false;
-    Watchdog watchdog_;
-    LifeSigns signs_;
+    Liveness liveness_;  ///< of the server
     TimePoint warn_again_{};
 
     Registration registration_;

@@ -27,8 +27,8 @@
 #include "common/backoff.hpp"
 #include "common/descriptor.hpp"
 #include "common/frame.hpp"
+#include "common/liveness.hpp"
 #include "common/snapshot.hpp"
-#include "common/watchdog.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 
 namespace axon::entity_manager {
@@ -96,7 +96,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
           beat_timer_(strand_, clock_),
           search_({settings_.application, settings_.instance, settings_.where, settings_.ports_from},
                   settings_.report_after),
-          watchdog_(settings_.watchdog_busy, settings_.watchdog_idle, now()) {}
+          liveness_(settings_.watchdog_busy, settings_.watchdog_idle, now()) {}
 
     void start() {
         if (closed_ || started_) return;
@@ -172,14 +172,13 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
 
     std::vector<HopMargin> margins() const {
         if (!peer_) return {};
-        return {{"entity manager watches application", signs_.longest(now())},
+        return {{"entity manager watches application", liveness_.longest(now())},
                 {"application watches entity manager", told_}};
     }
 
     void setBusy(bool busy) {
-        if (watchdog_.busy() == busy) return;
-        watchdog_.setBusy(busy, now());
-        if (peer_) signs_.allow(watchdog_.timeout(), now());
+        if (liveness_.busy() == busy) return;
+        liveness_.setBusy(busy, now());
         if (peer_) onBeatTimer();
     }
 
@@ -436,10 +435,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         backoff_.reset();
         next_whole_look_ = {};
         look_timer_.cancel();
-        watchdog_.feed(now());
-        signs_.allow({}, now());  // no gap reaches from one link into the next
-        signs_.allow(watchdog_.timeout(), now());
-        signs_.heard(now());
+        liveness_.restart(now());
         told_ = {};
         announced_ = stop_generations_.generation();
         generation_seen_ = announced_;
@@ -508,8 +504,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 return false;
             }
             if (message.has_beat()) {
-                watchdog_.feed(now());
-                signs_.heard(now());
+                liveness_.heard(now());
                 told_ = {std::chrono::milliseconds{message.beat().longest_gap_ms()},
                          std::chrono::milliseconds{message.beat().allowed_ms()}};
             } else if (message.has_end()) {
@@ -580,7 +575,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         proto::EmToEi message;
         auto& body = *message.mutable_beat();
         body.set_sequence(++beat_sequence_);
-        body.set_busy(watchdog_.busy());
+        body.set_busy(liveness_.busy());
         body.set_stop_generation(announced_);
         if (const auto signal = signal_.load()) signal->write(message);
     }
@@ -590,12 +585,12 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         const auto peer = peer_;
         beat();
         const auto time = now();
-        if (watchdog_.expired(time)) {
+        if (liveness_.expired(time)) {
             asio::error_code error;
             const bool unread = peer->signal.available(error) > 0 && !error;
-            if (!unread || time >= watchdog_.deadline() + kSlack) {
+            if (!unread || time >= liveness_.deadline() + kSlack) {
                 const auto ms =
-                    std::chrono::duration_cast<std::chrono::milliseconds>(watchdog_.timeout()).count();
+                    std::chrono::duration_cast<std::chrono::milliseconds>(liveness_.timeout()).count();
                 asio::post(strand_, [self = shared_from_this(), peer, ms] {
                     // It was this process that hung, and the application has said so.
                     if (!peer->parting.empty()) return self->closed(peer);
@@ -606,14 +601,14 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 return;
             }
         }
-        if (watchdog_.margin(time) <= 1 - LifeSigns::kWarnFrom && time >= warn_again_) {
-            warn_again_ = time + LifeSigns::kWarnAgain;
-            asio::post(strand_, [self = shared_from_this(), text = describe(signs_.longest(time))] {
+        if (time >= liveness_.lateFrom() && time >= warn_again_) {
+            warn_again_ = time + Liveness::kWarnAgain;
+            asio::post(strand_, [self = shared_from_this(), text = describe(liveness_.longest(time))] {
                 if (!self->closed_) self->events_.onLinkSlow(text);
             });
         }
-        auto next = time + watchdog_.timeout() / 5;
-        if (watchdog_.deadline() > time) next = std::min(next, watchdog_.deadline());
+        auto next = time + liveness_.timeout() / 5;
+        if (liveness_.deadline() > time) next = std::min(next, liveness_.deadline());
         beatAt(next);
     }
 
@@ -670,9 +665,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     Refusal last_refusal_;
     std::shared_ptr<Peer> peer_;
     ApplicationSearch search_;
-    Watchdog watchdog_;
-    LifeSigns signs_;
-    LifeSigns::Gap told_;  // by the application: what it heard of us
+    Liveness liveness_;   // of the application
+    Liveness::Gap told_;  // by the application: what it heard of us
     TimePoint warn_again_{};
     std::uint64_t beat_sequence_ = 0;
     std::uint32_t generation_seen_ = 0;
