@@ -116,6 +116,7 @@ class Connection {
         from = nameOf(server_.get(), true);
         to = nameOf(server_.get(), false);
     }
+    bool accepted() const { return server_.open(); }
     void closePeer() { peer_.reset(); }
 
     bool usable = false;
@@ -182,7 +183,7 @@ TEST(SocketOwner, IsFoundAsFastAmongThousandsOfSockets) {
     std::vector<std::unique_ptr<Connection>> others;
     while (others.size() < 2000) {
         auto other = std::make_unique<Connection>(Connection::Kind::V4);
-        if (!other->usable || other->server < 0) break;
+        if (!other->usable || !other->accepted()) break;
         others.push_back(std::move(other));
     }
     const auto timeOf = [](const auto& look) {
