@@ -11,9 +11,12 @@
 #include <spdlog/spdlog.h>
 
 #include <array>
+#include <asio/any_io_executor.hpp>
+#include <asio/post.hpp>
 #include <asio/strand.hpp>
 #include <asio/thread_pool.hpp>
 #include <cstdint>
+#include <future>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -68,10 +71,17 @@ struct Manager {
     std::int64_t last = 0;
 };
 
-/// As EntityManager's, but that the threads which bring something do the strand's work. Outlives each run.
-class Events final : public DirectEvents {
+/// As EntityManager's, with the desk on the strand. Outlives each run.
+class Events final : public DirectEvents, public std::enable_shared_from_this<Events> {
   public:
+    explicit Events(asio::any_io_executor strand) : strand_(std::move(strand)) {}
+
     void directOpening(DirectOpening opening) override {
+        asio::post(strand_, [self = shared_from_this(), opening = std::move(opening)]() mutable {
+            self->judge(std::move(opening));
+        });
+    }
+    void judge(DirectOpening opening) {
         const std::lock_guard lock(mutex);
         if (manager == nullptr) return opening.refuse({RefusalCode::WrongState, "between two runs", {}});
         bool admitted = false;
@@ -116,8 +126,21 @@ class Events final : public DirectEvents {
     }
     void directPace() override {}
     void directClosed(const Id128& path, const std::string& why) override {
-        const std::lock_guard lock(mutex);
-        if (manager != nullptr) manager->desk.onClosed(path, why);
+        asio::post(strand_, [self = shared_from_this(), path, why] {
+            const std::lock_guard lock(self->mutex);
+            if (self->manager != nullptr) self->manager->desk.onClosed(path, why);
+        });
+    }
+    /// On the strand, where the desk ends its lanes.
+    void forget() {
+        std::promise<void> done;
+        asio::post(strand_, [&] {
+            const std::lock_guard lock(mutex);
+            manager->desk.close();
+            manager = nullptr;
+            done.set_value();
+        });
+        done.get_future().wait();
     }
     /// Under the mutex. Since the first mark.
     void passed(direct::Keeping keeping, std::int64_t sequence) {
@@ -129,6 +152,9 @@ class Events final : public DirectEvents {
     std::mutex mutex;
     Manager* manager = nullptr;  // guarded by mutex, as what it points to
     bool honest = false;         // who knocks is the holder
+
+  private:
+    const asio::any_io_executor strand_;
 };
 
 class Deaf final : public slice::DirectCallback {
@@ -216,7 +242,7 @@ struct Place {
     asio::thread_pool executor{1};
     const asio::strand<asio::any_io_executor> strand{executor.get_executor()};
     const std::shared_ptr<ServerCommunicators> ice = std::make_shared<ServerCommunicators>(1, 1, quiet());
-    const std::shared_ptr<Events> events = std::make_shared<Events>();
+    const std::shared_ptr<Events> events = std::make_shared<Events>(strand);
     std::unique_ptr<DirectDoor> door;
     Ice::CommunicatorHolder communicator;
     std::array<std::unique_ptr<Knocker>, 2> signal;  // of the holder, and of a stranger
@@ -319,9 +345,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                 for (std::size_t i = 0; i < 8 && i < length; ++i)
                     sequence = sequence << 8 | bytes[at - length + i];
                 const bool other = kind % 2 == 1;
-                const Sender stranger{"22222222-2222-4222-8222-222222222222", "stranger", Role::Operator};
+                const Sender somebody{"22222222-2222-4222-8222-222222222222", "stranger", Role::Operator};
                 holder_is_odd = holder_is_odd || !other;
-                byServers(other ? stranger : kHolder, kTypes[kind / 2U % kTypes.size()], sequence,
+                byServers(other ? somebody : kHolder, kTypes[kind / 2U % kTypes.size()], sequence,
                           content.substr(std::min<std::size_t>(8, length)));
                 break;
             }
@@ -371,8 +397,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         require(holder_is_odd || manager.desk.direct(), "strangers do not end the holder's path");
     }
     awaitEnd(*by_data);
-    const std::lock_guard lock(events.mutex);
-    manager.desk.close();
-    events.manager = nullptr;
+    events.forget();
     return 0;
 }

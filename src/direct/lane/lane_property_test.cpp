@@ -85,10 +85,10 @@ class World {
     explicit World(std::uint64_t seed)
         : random_(seed),
           out_({static_cast<std::size_t>(2 + below(40)), static_cast<std::size_t>(2000 + below(40'000))}),
-          trouble_(3 + below(80)),
+          trouble_(5 + below(200)),
           pause_(1 + below(10)),
           flood_(1 + below(12)),
-          largest_(1 + below(2000)) {}
+          largest_(1 + below(6000)) {}
 
     void run(int steps) {
         for (int i = 0; i < steps && !::testing::Test::HasFatalFailure(); ++i) {
@@ -100,7 +100,7 @@ class World {
             if (below(trouble_) == 0) trouble();
         }
         if (path_ && below(2) == 0)
-            for (int i = 0; i < 200 && path_; ++i) turn();
+            for (int i = 0; i < 500 && path_; ++i) turn();
         notice();
         while (!relay_.empty()) relayArrives();
     }
@@ -312,7 +312,7 @@ TEST(LaneProperty, EveryMessageComesOnceAndInOrderWhateverTheConnectionDoes) {
     for (auto seed = first; seed <= last; ++seed) {
         SCOPED_TRACE("AXON_SEED=" + std::to_string(seed));
         World world(seed);
-        world.run(100);
+        world.run(300);
         world.judge();
         if (HasFatalFailure()) return;
         by_lane += world.by_lane;
