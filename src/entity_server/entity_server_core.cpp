@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "common/queue_share.hpp"
 #include "common/snapshot.hpp"
 #include "entity_server/sessions/holder_log.hpp"
@@ -37,31 +37,22 @@ class EntityServerCore::Session {
     Snapshot<std::string> holder;  // by its newest status
 
     SendLimits limits;
-    LifeSigns signs;  // written without a lock
+    Liveness liveness;  // hears without a lock; judged under the core's mutex, once registered
 
     // Guarded by the core's mutex.
     RecordRef record;
-    std::unique_ptr<Watchdog> watchdog;
     TimePoint next_heartbeat;
     std::uint64_t revision = 0;  // of its entry in the due queue; older entries are void
     std::int64_t heartbeats = 0;
-    TimePoint fed;  // the last sign of life that the watchdog was told
     TimePoint warn_again;
     HolderLog holder_log;
     bool gone = false;
 
     EntityOutbox& outbox(Lane lane) const { return lane == Lane::Signal ? *signal : *data; }
-    /// Tells the watchdog of the signs of life since it was told last.
-    void listen() {
-        const auto last = signs.last();
-        if (last <= fed || !watchdog) return;
-        fed = last;
-        watchdog->feed(last);
-    }
     Duration period() const {
         const auto& registration = record->registration;
-        return std::chrono::milliseconds{watchdog->busy() ? registration.heartbeat_busy_ms
-                                                          : registration.heartbeat_idle_ms};
+        return std::chrono::milliseconds{liveness.busy() ? registration.heartbeat_busy_ms
+                                                         : registration.heartbeat_idle_ms};
     }
     /// The last time not after `latest` at which heartbeats of this period are sent: 16 in each period, the
     /// same for all sessions with that period, so that the timer wakes for many at once.
@@ -233,11 +224,9 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         record->profile = std::make_shared<const std::string>(profile);
         record->session = session->number;
         session->record = std::move(record);
-        session->watchdog = std::make_unique<Watchdog>(settings_.heartbeats_missed * busy_period,
-                                                       settings_.heartbeats_missed * idle_period, now);
-        session->watchdog->setBusy(busy, now);
-        session->signs.allow(session->watchdog->timeout(), now);
-        session->fed = now;
+        session->liveness.setTimeouts(settings_.heartbeats_missed * busy_period,
+                                      settings_.heartbeats_missed * idle_period, now);
+        session->liveness.setBusy(busy, now);
         if (!session->registered) {
             session->registered = true;
             others_.announceSoon();
@@ -277,11 +266,9 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
             before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
         if (late) given = status;
         countBusy(before, status, now);
-        became_busy = busy && !session->watchdog->busy();
-        const bool became_idle = !busy && session->watchdog->busy();
-        session->listen();
-        session->watchdog->setBusy(busy, now);
-        session->signs.allow(session->watchdog->timeout(), now);
+        became_busy = busy && !session->liveness.busy();
+        const bool became_idle = !busy && session->liveness.busy();
+        session->liveness.setBusy(busy, now);
         status.stop_latency_us = session->drill->stopLatencyUs();
         Drills::setReady(*session->drill, !status.latched && status.state != EntityState::UNAV &&
                                               status.state != EntityState::INIT);
@@ -379,7 +366,7 @@ void EntityServerCore::peerRefusal(Lane lane, const Header& head, const Refusal&
 }
 
 void EntityServerCore::keepAlive(const SessionRef& session) {
-    session->signs.heard(clock_.now());
+    session->liveness.heard(clock_.now());
 }
 
 void EntityServerCore::leave(const SessionRef& session, bool orderly, const std::string& why) {
@@ -573,14 +560,13 @@ TimePoint EntityServerCore::onTimer() {
             due_.pop();
             const auto session = due.session.lock();
             if (!session || session->gone || session->revision != due.revision) continue;
-            session->listen();
-            if (session->watchdog->expired(now)) {
-                silent.emplace_back(session, session->watchdog->timeout());
+            if (session->liveness.expired(now)) {
+                silent.emplace_back(session, session->liveness.timeout());
                 continue;
             }
             if (now >= session->warn_again) {
-                if (const auto gap = session->signs.longest(now); gap.part() >= LifeSigns::kWarnFrom) {
-                    session->warn_again = now + LifeSigns::kWarnAgain;
+                if (const auto gap = session->liveness.longest(now); gap.part() >= Liveness::kWarnFrom) {
+                    session->warn_again = now + Liveness::kWarnAgain;
                     warnings.push_back(*session->name.load() + " is late: " + describe(gap));
                 }
             }
@@ -592,7 +578,7 @@ TimePoint EntityServerCore::onTimer() {
                 session->next_heartbeat = beat > now ? beat : session->beatInTurn(now);
             }
             schedule(session, std::min(std::max(session->next_heartbeat, now + std::chrono::milliseconds{1}),
-                                       session->watchdog->deadline()));
+                                       session->liveness.deadline()));
         }
         next = due_.empty() ? now + std::chrono::seconds{1} : due_.top().at;
     }
@@ -653,7 +639,7 @@ std::vector<std::string> EntityServerCore::margins() const {
     const std::lock_guard lock(mutex_);
     const auto now = clock_.now();
     for (const auto& [entity, session] : registered_) {
-        lines.push_back(*session->name.load() + ": " + describe(session->signs.longest(now)) +
+        lines.push_back(*session->name.load() + ": " + describe(session->liveness.longest(now)) +
                         (session->drill->stopLatencyUs() > 0
                              ? "; a stop takes " + std::to_string(session->drill->stopLatencyUs()) + " us"
                              : ""));

@@ -17,7 +17,6 @@
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot_table.hpp"
-#include "common/watchdog.hpp"
 #include "entity_server/drills/drills.hpp"
 #include "entity_server/ports/ports.hpp"
 #include "entity_server/publishing/publisher.hpp"

@@ -9,7 +9,7 @@
 #include <unordered_set>
 #include <utility>
 
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "common/planted_bug.hpp"
 #include "common/queue_share.hpp"
 #include "common/utf8.hpp"
@@ -316,7 +316,7 @@ void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
 }
 
 void FrontEndCore::keepAlive(const ClientRef& client) {
-    client->signs.heard(clock_.now());
+    client->liveness.heard(clock_.now());
 }
 
 void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::string& why) {
@@ -355,10 +355,8 @@ void FrontEndCore::updateHolding(const std::string& holder) {
     const bool busy = holdings_.busy(holder);
     auto& watched = *client;
     const auto now = clock_.now();
-    watched.listen();
-    if (busy && !watched.watchdog.busy()) watched.next_heartbeat = now;
-    if (!AXON_PLANTED(ClientWatchdogAlwaysIdle)) watched.watchdog.setBusy(busy, now);
-    watched.signs.allow(watched.watchdog.timeout(), now);
+    if (busy && !watched.liveness.busy()) watched.next_heartbeat = now;
+    if (!AXON_PLANTED(ClientWatchdogAlwaysIdle)) watched.liveness.setBusy(busy, now);
 }
 
 void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registration,
@@ -518,23 +516,22 @@ TimePoint FrontEndCore::onTimer() {
         const auto now = clock_.now();
         next = now + std::chrono::seconds{1};
         for (const auto& [id, client] : clients_.byId()) {
-            client->listen();
-            if (client->watchdog.expired(now)) {
-                silent.emplace_back(client, client->watchdog.timeout());
+            if (client->liveness.expired(now)) {
+                silent.emplace_back(client, client->liveness.timeout());
                 continue;
             }
             if (now >= client->warn_again) {
-                if (const auto gap = client->signs.longest(now); gap.part() >= LifeSigns::kWarnFrom) {
-                    client->warn_again = now + LifeSigns::kWarnAgain;
+                if (const auto gap = client->liveness.longest(now); gap.part() >= Liveness::kWarnFrom) {
+                    client->warn_again = now + Liveness::kWarnAgain;
                     warnings.push_back("client " + client->me.name + " is late: " + describe(gap));
                 }
             }
             if (client->next_heartbeat <= now) {
                 heartbeats.emplace_back(client, ++client->heartbeats);
                 client->next_heartbeat =
-                    now + (client->watchdog.busy() ? settings_.heartbeat_busy : settings_.heartbeat_idle);
+                    now + (client->liveness.busy() ? settings_.heartbeat_busy : settings_.heartbeat_idle);
             }
-            next = std::min({next, client->next_heartbeat, client->watchdog.deadline()});
+            next = std::min({next, client->next_heartbeat, client->liveness.deadline()});
         }
     }
     for (const auto& [client, timeout] : silent) {
@@ -559,7 +556,7 @@ std::vector<std::string> FrontEndCore::margins() const {
     std::vector<std::string> lines;
     const auto now = clock_.now();
     clients_.each([&](const ClientRef& client) {
-        lines.push_back("client " + client->me.name + ": " + describe(client->signs.longest(now)));
+        lines.push_back("client " + client->me.name + ": " + describe(client->liveness.longest(now)));
     });
     return lines;
 }

@@ -10,11 +10,10 @@
 #include <utility>
 
 #include "common/clock.hpp"
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "common/rate_limit.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
-#include "common/watchdog.hpp"
 #include "front_end_server/ports/core_settings.hpp"
 #include "front_end_server/ports/ports.hpp"
 
@@ -31,7 +30,7 @@ inline constexpr std::uint32_t kListsPerSecond = 4;  // of all entities, for one
 /// What the server knows of one client: the ways to it, how fast it sends, when it was heard last, and which
 /// entities know of it.
 ///
-/// Threads: each member says what guards it; the functions but listen() are called from any. States are those
+/// Threads: each member says what guards it; the functions are called from any. States are those
 /// of FrontEndCore.
 class Client {
   public:
@@ -42,11 +41,8 @@ class Client {
           data(std::move(its_data)),
           rate(settings.messages_per_second),
           drill_rate(settings.drills_per_second),
-          watchdog(settings.watchdog_busy, settings.watchdog_idle, now),
-          next_heartbeat(now + settings.heartbeat_idle),
-          fed(now) {
-        signs.allow(watchdog.timeout(), now);
-    }
+          liveness(settings.watchdog_busy, settings.watchdog_idle, now),
+          next_heartbeat(now + settings.heartbeat_idle) {}
 
     // Constant after construction.
     const Sender me;
@@ -55,7 +51,7 @@ class Client {
 
     RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
-    LifeSigns signs;                                 // written without a lock
+    Liveness liveness;                               // hears without a lock; changed under the core's mutex
     std::atomic<std::size_t> told{0};                // entities, when it joined
     mutable std::mutex asked_mutex;  // after the core's; of who goes on, for a word of a few bytes
     std::unordered_map<std::string, bool>
@@ -64,20 +60,11 @@ class Client {
     std::unordered_set<std::string> held;  // guarded by it; as holdings_ of the core has it
 
     // Guarded by the core's mutex.
-    Watchdog watchdog;
     TimePoint next_heartbeat;
     std::int64_t heartbeats = 0;
     TimePoint warn_again;
-    TimePoint fed;  // the last sign of life that the watchdog was told
     bool gone = false;
 
-    /// Tells the watchdog of the signs of life since it was told last. Under the core's mutex.
-    void listen() {
-        const auto last = signs.last();
-        if (last <= fed) return;
-        fed = last;
-        watchdog.feed(last);
-    }
     /// Not any more once it has left. One that is not known here may be joining; of names that nobody has,
     /// the first few.
     bool asks(const std::string& entity, bool check_out, bool known) {
