@@ -323,9 +323,7 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
     Holdings::Held held;
     {
         const std::lock_guard lock(mutex_);
-        if (client->gone) return;
-        client->gone = true;
-        clients_.remove(client);
+        if (!clients_.remove(client)) return;
         held = holdings_.of(client->me.id);
         gone_.remember(client->me, ending);
     }

@@ -63,7 +63,6 @@ class Client {
     TimePoint next_heartbeat;
     std::int64_t heartbeats = 0;
     TimePoint warn_again;
-    bool gone = false;
 
     /// Not any more once it has left. One that is not known here may be joining; of names that nobody has,
     /// the first few.
