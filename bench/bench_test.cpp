@@ -12,6 +12,7 @@
 
 #include "board.hpp"
 #include "child.hpp"
+#include "common/descriptor.hpp"
 #include "contender.hpp"
 #include "ddsperf.hpp"
 #include "nats_peer.hpp"
@@ -279,14 +280,13 @@ TEST(BenchContender, OverlappingStopsKeepTheirRowsAndThoseThatWarmUpDoNotCount) 
 TEST(BenchChild, InheritsNothingOfOurs) {
     int pipe[2];
     ASSERT_EQ(::pipe(pipe), 0);
+    const Descriptor ours(pipe[0]), other(pipe[1]);
     const WorkFolder folder;
     const Child child(
         {"sh", "-c",
          "test -e /proc/$$/fd/" + std::to_string(pipe[0]) + " && echo open || echo closed; exec sleep 60"},
         folder.sub("child") / "log");
     EXPECT_NO_THROW(child.waitForLine("closed"));
-    ::close(pipe[0]);
-    ::close(pipe[1]);
 }
 
 TEST(BenchWorkFolder, StaysWhereALogOfItWasNamed) {
@@ -307,7 +307,7 @@ TEST(BenchWorkFolder, StaysWhereALogOfItWasNamed) {
 TEST(BenchInbox, TakesMessagesThatComeInPiecesAndAreLongerThanTheBuffer) {
     std::uint16_t port = 0;
     const tcp::Connection listener(tcp::listen(port));
-    const tcp::Connection to(port), from(::accept(listener.fd(), nullptr, nullptr));
+    const tcp::Connection to(port), from(Descriptor(::accept(listener.fd(), nullptr, nullptr)));
     tcp::Inbox inbox;
     std::vector<char> shared(8);
     std::vector<std::string> lines;
@@ -336,7 +336,7 @@ TEST(BenchInbox, TakesMessagesThatComeInPiecesAndAreLongerThanTheBuffer) {
 
 TEST(BenchNats, TakesWholeMessagesAndLeavesTheRest) {
     std::uint16_t port = 0;
-    tcp::listen(port);
+    const auto listening = tcp::listen(port);
     const tcp::Connection connection(port);
     Slot slot;
     int ready = 0;

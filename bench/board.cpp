@@ -10,6 +10,8 @@
 #include <cstring>
 #include <system_error>
 
+#include "common/descriptor.hpp"
+
 namespace axon::bench {
 
 namespace {
@@ -23,11 +25,10 @@ constexpr int kNumberDigits = 5, kBitsOfDigit = 6;
 }  // namespace
 
 MappedFile::MappedFile(const std::string& file, std::size_t size, bool create) : size_(size) {
-    const int fd = ::open(file.c_str(), O_RDWR | (create ? O_CREAT | O_TRUNC : 0), 0600);
-    if (fd < 0) fail(file.c_str());
-    if (create && ::ftruncate(fd, static_cast<off_t>(size)) != 0) fail("ftruncate");
-    void* memory = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
-    ::close(fd);
+    const Descriptor opened(::open(file.c_str(), O_RDWR | (create ? O_CREAT | O_TRUNC : 0), 0600));
+    if (!opened.open()) fail(file.c_str());
+    if (create && ::ftruncate(opened.get(), static_cast<off_t>(size)) != 0) fail("ftruncate");
+    void* memory = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, opened.get(), 0);
     if (memory == MAP_FAILED) fail("mmap");
     memory_ = static_cast<char*>(memory);
 }

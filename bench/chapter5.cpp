@@ -431,7 +431,7 @@ Experiment declareChapter5(CLI::App& app) {
             "--with", wish->with,
             "Besides Axon relayed: axon-direct (direct paths; in 5.3 and 5.4 to the ten that are "
             "measured), axon-robots (through the servers, to the callbacks of real Entity Interfacers) and, "
-            "in 5.1 and 5.2, peers: raw, mosquitto-qos0, mosquitto-qos1, nats; or none "
+            "in 5.1 and 5.2, other systems: raw, mosquitto-qos0, mosquitto-qos1, nats; or none "
             "[axon-direct,axon-robots,mosquitto-qos0,raw]")
         ->delimiter(',')
         ->check(CLI::IsMember(names).description(""))

@@ -18,6 +18,8 @@
 #include <system_error>
 #include <thread>
 
+#include "common/descriptor.hpp"
+
 namespace axon::bench {
 
 namespace fs = std::filesystem;
@@ -167,14 +169,13 @@ std::vector<std::string> ourselves(const std::string& process, const std::vector
 }
 
 std::uint16_t freePort() {
-    const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
+    const Descriptor socket(::socket(AF_INET, SOCK_STREAM, 0));
     sockaddr_in address{};
     address.sin_family = AF_INET;
     address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     socklen_t size = sizeof(address);
-    const bool done = ::bind(fd, reinterpret_cast<sockaddr*>(&address), size) == 0 &&
-                      ::getsockname(fd, reinterpret_cast<sockaddr*>(&address), &size) == 0;
-    ::close(fd);
+    const bool done = ::bind(socket.get(), reinterpret_cast<sockaddr*>(&address), size) == 0 &&
+                      ::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&address), &size) == 0;
     if (!done) throw std::system_error(errno, std::generic_category(), "no free port");
     return ntohs(address.sin_port);
 }

@@ -4,11 +4,11 @@
 
     python3 bench/cluster_latency.py --bin build/release/bin [--count 1000] [--json FILE]
 
-Two laboratories side by side, each with one robot application: one axon-server; and IceStorm, two routers, a front-end
-server and an entity server. Drills (stops that are marked, and stop nothing) are sent to them in turns, 50 at a time, and
-timed by the client library from sending to the answer of the Entity Interfacer: the whole way of a stop, and back. Then
-axon-bench sends batches of chapter 5's 35,137 bytes to the Entity Managers of 1 and of 8 entities, in turns likewise.
-Exit status 1 where the median through the cluster is more than four times the other, or a drill did not arrive.
+Starts two laboratories, each with one robot application: one with axon-server alone, and one with IceStorm, two routers, a
+front-end server and an entity server. Sends drills to them in turns, 50 at a time; a drill takes the whole way of a stop and
+back, and stops nothing. The client library measures the time from sending to the answer of the Entity Interfacer. Then
+axon-bench sends batches of 35,137 bytes, as in chapter 5, to the Entity Managers of 1 and of 8 entities, also in turns.
+Exit status: 1 if the median through the cluster is more than four times the other, or a drill did not arrive.
 """
 import argparse
 import json

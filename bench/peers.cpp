@@ -584,10 +584,10 @@ Experiment declarePeers(CLI::App& app) {
         ->delimiter(',')
         ->check(CLI::IsMember({"one", "two", "any"}).description(""))
         ->type_name("WHERE,…");
-    command->add_option("--only", wish->only, "Measure only these peers")
+    command->add_option("--only", wish->only, "Measure only these systems")
         ->delimiter(',')
         ->check(CLI::IsMember(names).description(""))
-        ->type_name("PEER,…");
+        ->type_name("SYSTEM,…");
     command
         ->add_option("--pair-rounds", wish->pair_rounds,
                      "Rounds of round trips next to ddsperf; 0 = none [3]")
@@ -595,7 +595,7 @@ Experiment declarePeers(CLI::App& app) {
         ->type_name("COUNT");
     command
         ->add_option("--beside", wish->beside,
-                     "Instead of the peers: Axon through servers that are already running. The two files are "
+                     "Instead of the other systems: Axon through servers that are already running. The two files are "
                      "the configurations of a client and of an Entity Manager, as axon-cluster writes them")
         ->expected(2)
         ->check(CLI::ExistingFile.description(""))

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "child.hpp"
+#include "common/descriptor.hpp"
 
 namespace axon::bench {
 
@@ -50,20 +51,21 @@ std::size_t eachFrame(std::string_view received, const Take& take) {
 
 class Router {
   public:
-    explicit Router(int listener) : listener_(listener), epoll_(::epoll_create1(0)) {
-        watch(listener_, nullptr, EPOLLIN, EPOLL_CTL_ADD);
+    explicit Router(Descriptor listener) : listener_(std::move(listener)), epoll_(::epoll_create1(0)) {
+        watch(listener_.get(), nullptr, EPOLLIN, EPOLL_CTL_ADD);
     }
 
     void turn() {
         std::array<epoll_event, 256> events{};
-        const int ready = ::epoll_wait(epoll_, events.data(), events.size(), 500);
+        const int ready = ::epoll_wait(epoll_.get(), events.data(), events.size(), 500);
         for (int i = 0; i < ready; ++i) {
             const auto& event = events[static_cast<std::size_t>(i)];
             if (event.data.ptr == nullptr) {
-                auto& peer = peers_.emplace_back(Peer{
-                    tcp::Connection(::accept4(listener_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC)),
-                    {},
-                    {}});
+                auto& peer = peers_.emplace_back(
+                    Peer{tcp::Connection(Descriptor(
+                             ::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC))),
+                         {},
+                         {}});
                 watch(peer.connection.fd(), &peer, EPOLLIN, EPOLL_CTL_ADD);
                 continue;
             }
@@ -98,7 +100,7 @@ class Router {
             });
         } catch (const std::system_error&) {
             // It has gone; what is for it goes nowhere.
-            ::epoll_ctl(epoll_, EPOLL_CTL_DEL, peer.connection.fd(), nullptr);
+            ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, peer.connection.fd(), nullptr);
             for (auto& one : receivers_)
                 if (one == &peer) one = nullptr;
         }
@@ -125,10 +127,10 @@ class Router {
         epoll_event wish{};
         wish.events = events;
         wish.data.ptr = peer;
-        ::epoll_ctl(epoll_, how, fd, &wish);
+        ::epoll_ctl(epoll_.get(), how, fd, &wish);
     }
 
-    int listener_, epoll_;
+    const Descriptor listener_, epoll_;
     std::deque<Peer> peers_;
     std::vector<Peer*> receivers_;
     std::vector<char> buffer_ = std::vector<char>(kBuffer);
@@ -212,8 +214,8 @@ class RawDirectSubject final : public Subject {
     /// Those who have called by now; true.
     bool take(const tcp::Connection& listener) {
         for (pollfd wish{listener.fd(), POLLIN, 0}; ::poll(&wish, 1, 0) > 0;) {
-            auto caller =
-                std::make_unique<tcp::Connection>(::accept4(listener.fd(), nullptr, nullptr, SOCK_CLOEXEC));
+            auto caller = std::make_unique<tcp::Connection>(
+                Descriptor(::accept4(listener.fd(), nullptr, nullptr, SOCK_CLOEXEC)));
             Frame hello;
             caller->readAll(reinterpret_cast<char*>(&hello), sizeof(hello));
             caller->write({bytesOfFrame(hello)});

@@ -28,29 +28,28 @@ sockaddr_in loopback(std::uint16_t port) {
     return address;
 }
 
-int connectTo(std::uint16_t port) {
-    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    if (fd < 0) return -1;
+/// errno where it is not open.
+Descriptor connectTo(std::uint16_t port) {
+    Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
     const auto address = loopback(port);
-    if (::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0) return fd;
-    const int error = errno;
-    ::close(fd);
-    errno = error;
-    return -1;
+    if (socket.open() &&
+        ::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
+        const int error = errno;
+        socket.reset();
+        errno = error;
+    }
+    return socket;
 }
 
 }  // namespace
 
 Connection::Connection(std::uint16_t port) : fd_(connectTo(port)) {
-    if (fd_ < 0) fail("connect");
+    if (!fd_.open()) fail("connect");
     prepare();
 }
 void Connection::prepare() const {
     const int on = 1;
-    ::setsockopt(fd_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
-}
-Connection::~Connection() {
-    if (fd_ >= 0) ::close(fd_);
+    ::setsockopt(fd(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
 }
 
 void Connection::write(std::initializer_list<std::string_view> parts) const {
@@ -62,7 +61,7 @@ void Connection::write(std::initializer_list<std::string_view> parts) const {
         msghdr message{};
         message.msg_iov = &vectors[first];
         message.msg_iovlen = count - first;
-        auto written = ::sendmsg(fd_, &message, MSG_NOSIGNAL);
+        auto written = ::sendmsg(fd(), &message, MSG_NOSIGNAL);
         if (written < 0 && errno == EINTR) continue;
         if (written < 0) fail("send");
         for (; first < count && static_cast<std::size_t>(written) >= vectors[first].iov_len; ++first)
@@ -76,7 +75,7 @@ void Connection::write(std::initializer_list<std::string_view> parts) const {
 
 std::size_t Connection::read(char* to, std::size_t most, bool wait) const {
     for (;;) {
-        const auto size = ::recv(fd_, to, most, wait ? 0 : MSG_DONTWAIT);
+        const auto size = ::recv(fd(), to, most, wait ? 0 : MSG_DONTWAIT);
         if (size > 0) return static_cast<std::size_t>(size);
         if (size == 0) {
             errno = ECONNRESET;
@@ -92,20 +91,19 @@ void Connection::readAll(char* to, std::size_t size) const {
 }
 
 bool listens(std::uint16_t port) {
-    const int fd = connectTo(port);
-    if (fd >= 0) ::close(fd);
-    return fd >= 0;
+    return connectTo(port).open();
 }
 
-int listen(std::uint16_t& port) {
-    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+Descriptor listen(std::uint16_t& port) {
+    Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
     auto address = loopback(0);
     socklen_t size = sizeof(address);
-    if (fd < 0 || ::bind(fd, reinterpret_cast<sockaddr*>(&address), size) != 0 ||
-        ::listen(fd, SOMAXCONN) != 0 || ::getsockname(fd, reinterpret_cast<sockaddr*>(&address), &size) != 0)
+    if (!socket.open() || ::bind(socket.get(), reinterpret_cast<sockaddr*>(&address), size) != 0 ||
+        ::listen(socket.get(), SOMAXCONN) != 0 ||
+        ::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0)
         fail("listen");
     port = ntohs(address.sin_port);
-    return fd;
+    return socket;
 }
 
 void Inbox::take(const Connection& from, std::vector<char>& buffer, const Consume& consume) {

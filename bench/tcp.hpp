@@ -8,7 +8,10 @@
 #include <initializer_list>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
+
+#include "common/descriptor.hpp"
 
 /// Plain TCP on loopback, for the peers whose protocol is spoken here: NATS and the raw router. What fails
 /// throws std::system_error.
@@ -18,12 +21,9 @@ namespace axon::bench::tcp {
 class Connection {
   public:
     explicit Connection(std::uint16_t port);
-    explicit Connection(int accepted) : fd_(accepted) { prepare(); }
-    ~Connection();
-    Connection(Connection&& other) noexcept : fd_(other.fd_) { other.fd_ = -1; }
-    Connection& operator=(Connection&&) = delete;
+    explicit Connection(Descriptor accepted) : fd_(std::move(accepted)) { prepare(); }
 
-    int fd() const { return fd_; }
+    int fd() const { return fd_.get(); }
     /// All of them in one system call where the socket takes that; waits while it does not.
     void write(std::initializer_list<std::string_view> parts) const;
     /// What is there, at most this much; with `wait` at least one byte. 0 = nothing there; throws when the
@@ -34,12 +34,12 @@ class Connection {
 
   private:
     void prepare() const;
-    int fd_;
+    Descriptor fd_;
 };
 
 bool listens(std::uint16_t port);
 /// Listens on a free port of 127.0.0.1.
-int listen(std::uint16_t& port);
+Descriptor listen(std::uint16_t& port);
 
 /// Takes whole messages from the beginning of what was received, and returns how many bytes they were.
 using Consume = std::function<std::size_t(std::string_view)>;

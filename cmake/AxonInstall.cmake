@@ -21,7 +21,7 @@ if(AXON_ICE)
   install(FILES "${PROJECT_SOURCE_DIR}/LICENSES/GPL-2.0-or-later.txt" DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT Programs)
 endif()
 if(AXON_LAB)
-  install(TARGETS axon-lab axon-peoplebot axon-cyton RUNTIME COMPONENT Programs)
+  install(TARGETS axon-lab RUNTIME COMPONENT Programs) # robots install theirs
   install(TARGETS axon_entity_interfacer LIBRARY COMPONENT Programs NAMELINK_SKIP) # the robot applications link it
   install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT Programs)
 endif()

@@ -10,6 +10,8 @@
 #include <cerrno>
 #include <system_error>
 
+#include "common/descriptor.hpp"
+
 namespace axon::faults {
 
 namespace {
@@ -44,12 +46,12 @@ const StopMark* Slot::firstStop(std::uint32_t before, std::int64_t since) const 
 }
 
 Board::Board(const std::string& file, std::size_t slots, bool create) : count_(slots) {
-    const int fd = ::open(file.c_str(), O_RDWR | O_CLOEXEC | (create ? O_CREAT | O_TRUNC : 0), 0600);
-    if (fd < 0) fail(file.c_str());
+    const Descriptor opened(
+        ::open(file.c_str(), O_RDWR | O_CLOEXEC | (create ? O_CREAT | O_TRUNC : 0), 0600));
+    if (!opened.open()) fail(file.c_str());
     // Fresh pages are zero, which is how slots begin.
-    if (create && ::ftruncate(fd, static_cast<off_t>(bytes(slots))) != 0) fail("ftruncate");
-    memory_ = ::mmap(nullptr, bytes(slots), PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
-    ::close(fd);
+    if (create && ::ftruncate(opened.get(), static_cast<off_t>(bytes(slots))) != 0) fail("ftruncate");
+    memory_ = ::mmap(nullptr, bytes(slots), PROT_READ | PROT_WRITE, MAP_SHARED, opened.get(), 0);
     if (memory_ == MAP_FAILED) fail("mmap");
     desk_ = static_cast<Desk*>(memory_);
     slots_ = reinterpret_cast<Slot*>(static_cast<char*>(memory_) + sizeof(Desk));

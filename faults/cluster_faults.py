@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Kills each program of a cluster while robots work, and judges what docs/explanation/safety.md promises of it.
+"""Kills each program of a cluster while robots work, and tests the promises of docs/explanation/safety.md.
 
     python3 faults/cluster_faults.py all --trials 20 --entities 4 --json FILE
     python3 faults/cluster_faults.py kill-front-end --trials 5
 
-A trial: every robot runs a task of one client; a program of the cluster is killed (kill -9); each robot stops within
-the watchdog + 100 ms, or still has its chain, which a drill shows while the program is dead; the program is started
-again; within 5 s of that the same client holds and uses every robot, nothing else having been touched, the lists of
-all front-end servers agree, and nobody else can have what it holds.
+In a trial every robot runs a task of one client, and a program of the cluster is killed (kill -9). Each robot must stop
+within the watchdog + 100 ms, unless its connection to the client does not go through that program; a drill shows that.
+Then the program is started again, and nothing else. Within 5 s the same client must hold and use every robot, the lists
+of all front-end servers must agree, and no other client may be able to check out what it holds.
 Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
@@ -320,12 +320,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", default=["all"], metavar="KIND",
                         help=f"{', '.join(KINDS)}; all = each of them (the default)")
-    parser.add_argument("--list", action="store_true", help="every kind with what is struck, and end")
-    parser.add_argument("--trials", type=int, default=20, help="of each kind (%(default)s)")
+    parser.add_argument("--list", action="store_true", help="list every kind, and end")
+    parser.add_argument("--trials", type=int, default=20, help="number of trials of each kind (%(default)s)")
     parser.add_argument("--entities", type=int, default=4, help="robots, 1 to 16 (%(default)s)")
     parser.add_argument("--front-ends", type=int, default=2)
     parser.add_argument("--entity-servers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=1, help="chooses moments and victims (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed that chooses moments and programs (%(default)s)")
     parser.add_argument("--json", type=pathlib.Path, help="write every latency to this file")
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "release" / "bin", help="folder of the programs")
     options = parser.parse_args()

@@ -48,7 +48,7 @@ class RawClient::Session {
     void open(const std::string& address, const std::shared_ptr<Session>& self) {
         try {
             paths_ = std::make_shared<RawPaths>(
-                home(data_.communicator()), home(signal_.communicator()),
+                home(signal_.communicator()),
                 [this](const Header& head, const std::string& bytes) { relay(head, bytes); },
                 [weak = std::weak_ptr<Session>(self)](const Header& head, std::string_view bytes) {
                     if (const auto still = weak.lock()) still->hear(head, bytes);
@@ -220,7 +220,7 @@ class RawClient::Session {
         return {static_cast<std::int32_t>(lease.epoch()), static_cast<std::int32_t>(lease.number())};
     }
 
-    /// Where direct paths of this lane begin.
+    /// Where the signal lanes of direct paths begin.
     static client::LaneHome home(const std::shared_ptr<Ice::Communicator>& communicator) {
         const auto adapter = communicator->createObjectAdapter("");
         adapter->activate();

@@ -25,14 +25,13 @@ constexpr Duration kLongestSleep = 50ms;
 
 }  // namespace
 
-RawPaths::RawPaths(const client::LaneHome& data, const client::LaneHome& signal, Relay relay, Hear hear)
-    : data_(data),
-      signal_(signal),
+RawPaths::RawPaths(const client::LaneHome& signal, Relay relay, Hear hear)
+    : signal_(signal),
       relay_(std::move(relay)),
       hear_(std::move(hear)),
       links_(clock_, kPathsMax, [this](const client::DirectOffer& offer) {
-          return std::make_shared<client::IceDirectPath>(data_, signal_, offer, Id128::random(random_),
-                                                         backlog_, clock_, weak_from_this());
+          return std::make_shared<client::NetworkPath>(readers_, signal_, offer, Id128::random(random_),
+                                                       backlog_, clock_, weak_from_this());
       }) {}
 
 RawPaths::~RawPaths() {
@@ -52,6 +51,7 @@ void RawPaths::close() {
     woken_.notify_all();
     if (thread_.joinable()) thread_.join();
     sessionLost();
+    readers_->end();
 }
 
 void RawPaths::close(const DirectLinks::Closing& closing, const char* why) {

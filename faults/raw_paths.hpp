@@ -13,7 +13,7 @@
 #include <thread>
 
 #include "client/direct/direct_links.hpp"
-#include "client/direct/ice_direct_path.hpp"
+#include "client/direct/network_path.hpp"
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 
@@ -25,13 +25,13 @@ namespace axon::faults {
 /// everything goes by the servers.
 ///
 /// Threads: any member from any thread; one of its own opens paths, beats and notices their end. `relay` is
-/// called under its lock and calls nothing back; `hear` on Ice's threads, one message at a time and in the
-/// order of sending, but for receipts, which come on the signal lane's.
+/// called under its lock and calls nothing back; `hear` on the threads of LaneReaders and of Ice, one message
+/// at a time and in the order of sending, but for receipts, which come on the signal lane's.
 class RawPaths final : public client::DirectPathEvents, public std::enable_shared_from_this<RawPaths> {
   public:
     using Relay = std::function<void(const Header&, const std::string& bytes)>;
     using Hear = std::function<void(const Header&, std::string_view bytes)>;
-    RawPaths(const client::LaneHome& data, const client::LaneHome& signal, Relay relay, Hear hear);
+    RawPaths(const client::LaneHome& signal, Relay relay, Hear hear);
     ~RawPaths() override;
     RawPaths(const RawPaths&) = delete;
     RawPaths& operator=(const RawPaths&) = delete;
@@ -74,10 +74,11 @@ class RawPaths final : public client::DirectPathEvents, public std::enable_share
     void fallBackFromEnded();
     void close(const client::DirectLinks::Closing& closing, const char* why);
 
-    const client::LaneHome data_, signal_;
+    const client::LaneHome signal_;
     const Relay relay_;
     const Hear hear_;
     const SteadyClock clock_{};
+    const std::shared_ptr<client::LaneReaders> readers_ = std::make_shared<client::LaneReaders>(clock_);
     const std::shared_ptr<client::Backlog> backlog_ = std::make_shared<client::Backlog>();
     SystemRandom random_;
     std::string client_;

@@ -24,6 +24,8 @@
 #include <utility>
 #include <vector>
 
+#include "common/descriptor.hpp"
+
 namespace axon::faults {
 
 namespace {
@@ -45,10 +47,11 @@ sockaddr_in addressOf(const std::string& address, std::uint16_t port) {
     return at;
 }
 
-void closeWithReset(int fd) {
+/// Its peer sees RST and not FIN.
+void closeWithReset(Descriptor& socket) {
     const linger now{1, 0};
-    ::setsockopt(fd, SOL_SOCKET, SO_LINGER, &now, sizeof now);
-    ::close(fd);
+    ::setsockopt(socket.get(), SOL_SOCKET, SO_LINGER, &now, sizeof now);
+    socket.reset();
 }
 
 }  // namespace
@@ -58,34 +61,31 @@ class Relay::Pump {
     enum class Mode { Pass, Cut, Stall };
 
     Pump() : poll_(::epoll_create1(EPOLL_CLOEXEC)), wake_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
-        if (poll_ < 0 || wake_ < 0) fail("epoll");
-        watch(wake_, EPOLLIN, EPOLL_CTL_ADD);
+        if (!poll_.open() || !wake_.open()) fail("epoll");
+        watch(wake_.get(), EPOLLIN, EPOLL_CTL_ADD);
         thread_ = std::thread([this] { run(); });
     }
     ~Pump() {
         ending_ = true;
         wake();
         thread_.join();
-        for (auto& [fd, listener] : listeners_) ::close(fd);
+        listeners_.clear();
         while (!pairs_.empty()) drop(*pairs_.begin(), true);
-        ::close(wake_);
-        ::close(poll_);
     }
 
     std::uint16_t open(Hop hop, const std::string& address, std::uint16_t port, const sockaddr_in& target) {
-        const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-        if (fd < 0) fail("socket");
+        Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+        if (!socket.open()) fail("socket");
+        const int fd = socket.get();
         const int on = 1;
         ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
         auto at = addressOf(address, port);
-        if (::bind(fd, reinterpret_cast<sockaddr*>(&at), sizeof at) != 0 || ::listen(fd, 1024) != 0) {
-            ::close(fd);
+        if (::bind(fd, reinterpret_cast<sockaddr*>(&at), sizeof at) != 0 || ::listen(fd, 1024) != 0)
             fail("the relay cannot listen on " + address + ":" + std::to_string(port));
-        }
         socklen_t size = sizeof at;
         ::getsockname(fd, reinterpret_cast<sockaddr*>(&at), &size);
         const std::lock_guard lock(mutex_);
-        listeners_[fd] = {hop, target};
+        listeners_[fd] = {std::move(socket), hop, target};
         watch(fd, EPOLLIN, EPOLL_CTL_ADD);
         return ntohs(at.sin_port);
     }
@@ -138,7 +138,7 @@ class Relay::Pump {
     };
     /// One end; `waiting` is what is to be written to it.
     struct Side {
-        int fd = -1;
+        Descriptor socket;
         bool ended = false;     // it will send no more
         bool end_told = false;  // and the other was told so
         std::deque<Piece> waiting;
@@ -151,6 +151,7 @@ class Relay::Pump {
         std::array<Side, 2> sides;
     };
     struct Listener {
+        Descriptor socket;
         Hop hop;
         sockaddr_in target;
     };
@@ -167,23 +168,24 @@ class Relay::Pump {
         epoll_event event{};
         event.events = events;
         event.data.fd = fd;
-        ::epoll_ctl(poll_, operation, fd, &event);
+        ::epoll_ctl(poll_.get(), operation, fd, &event);
     }
     void wake() const {
         const std::uint64_t one = 1;
-        [[maybe_unused]] const auto written = ::write(wake_, &one, sizeof one);
+        [[maybe_unused]] const auto written = ::write(wake_.get(), &one, sizeof one);
     }
 
     void run() {
         std::array<epoll_event, 64> events;
         while (!ending_) {
-            const int count = ::epoll_wait(poll_, events.data(), static_cast<int>(events.size()), waitMs());
+            const int count =
+                ::epoll_wait(poll_.get(), events.data(), static_cast<int>(events.size()), waitMs());
             const std::lock_guard lock(mutex_);
             for (int i = 0; i < count; ++i) {
                 const int fd = events[static_cast<std::size_t>(i)].data.fd;
-                if (fd == wake_) {
+                if (fd == wake_.get()) {
                     std::uint64_t many = 0;
-                    [[maybe_unused]] const auto got = ::read(wake_, &many, sizeof many);
+                    [[maybe_unused]] const auto got = ::read(wake_.get(), &many, sizeof many);
                 } else if (const auto listener = listeners_.find(fd); listener != listeners_.end()) {
                     accept(fd, listener->second);
                 } else if (const auto at = by_fd_.find(fd); at != by_fd_.end()) {
@@ -217,37 +219,37 @@ class Relay::Pump {
         while (true) {
             sockaddr_in peer{};
             socklen_t size = sizeof peer;
-            const int from =
-                ::accept4(fd, reinterpret_cast<sockaddr*>(&peer), &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
-            if (from < 0) return;
+            Descriptor from(
+                ::accept4(fd, reinterpret_cast<sockaddr*>(&peer), &size, SOCK_NONBLOCK | SOCK_CLOEXEC));
+            if (!from.open()) return;
             const auto diverted = diverted_.find(peer.sin_addr.s_addr);
             const auto hop = diverted != diverted_.end() ? diverted->second : listener.hop;
-            const int to = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+            Descriptor to(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
             const bool reached =
-                to >= 0 && (::connect(to, reinterpret_cast<const sockaddr*>(&listener.target),
-                                      sizeof listener.target) == 0 ||
-                            errno == EINPROGRESS);
+                to.open() && (::connect(to.get(), reinterpret_cast<const sockaddr*>(&listener.target),
+                                        sizeof listener.target) == 0 ||
+                              errno == EINPROGRESS);
             if (!reached) {
                 closeWithReset(from);
-                if (to >= 0) ::close(to);
                 continue;
             }
             const int on = 1;
-            for (const int one : {from, to}) ::setsockopt(one, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+            for (const int one : {from.get(), to.get()})
+                ::setsockopt(one, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
             auto* pair = new Pair{hop, mode_[index(hop)] == Mode::Cut, {}};
-            pair->sides[0].fd = from;
-            pair->sides[1].fd = to;
+            pair->sides[0].socket = std::move(from);
+            pair->sides[1].socket = std::move(to);
             pairs_.insert(pair);
             for (auto& side : pair->sides) {
-                by_fd_[side.fd] = pair;
-                watch(side.fd, 0, EPOLL_CTL_ADD);
+                by_fd_[side.socket.get()] = pair;
+                watch(side.socket.get(), 0, EPOLL_CTL_ADD);
             }
             refresh(*pair);
         }
     }
 
     void serve(Pair& pair, int fd, std::uint32_t events) {
-        const std::size_t which = pair.sides[0].fd == fd ? 0 : 1;
+        const std::size_t which = pair.sides[0].socket.get() == fd ? 0 : 1;
         auto& side = pair.sides[which];
         auto& other = pair.sides[1 - which];
         if (mode(pair) == Mode::Stall && !(events & (EPOLLERR | EPOLLHUP))) return;
@@ -311,10 +313,10 @@ class Relay::Pump {
         const auto now = Steady::now();
         for (std::size_t i = 0; i < 2; ++i) {
             auto& side = pair.sides[i];
-            while (!side.waiting.empty() && side.fd >= 0) {
+            while (!side.waiting.empty() && side.socket.open()) {
                 auto& piece = side.waiting.front();
                 if (piece.due > now) break;
-                const auto sent = ::send(side.fd, piece.bytes.data() + piece.sent,
+                const auto sent = ::send(side.socket.get(), piece.bytes.data() + piece.sent,
                                          piece.bytes.size() - piece.sent, MSG_NOSIGNAL);
                 if (sent < 0 && (errno == EAGAIN || errno == EINTR || errno == ENOTCONN)) break;
                 if (sent < 0) {
@@ -326,9 +328,9 @@ class Relay::Pump {
                 if (piece.sent == piece.bytes.size()) side.waiting.pop_front();
             }
             auto& source = pair.sides[1 - i];
-            if (source.ended && side.waiting.empty() && !source.end_told && side.fd >= 0) {
+            if (source.ended && side.waiting.empty() && !source.end_told && side.socket.open()) {
                 source.end_told = true;
-                ::shutdown(side.fd, SHUT_WR);
+                ::shutdown(side.socket.get(), SHUT_WR);
             }
         }
         if (pair.sides[0].end_told && pair.sides[1].end_told) {
@@ -342,34 +344,34 @@ class Relay::Pump {
     void refresh(Pair& pair) {
         for (std::size_t i = 0; i < 2; ++i) {
             auto& side = pair.sides[i];
-            if (side.fd < 0) continue;
+            if (!side.socket.open()) continue;
             const bool reads =
                 mode(pair) != Mode::Stall && !side.ended && pair.sides[1 - i].bytes <= kWaitingMax;
             const bool writes = mode(pair) == Mode::Pass && !side.waiting.empty() &&
                                 side.waiting.front().due <= Steady::now();
             const std::uint32_t interest = (reads ? EPOLLIN : 0U) | (writes ? EPOLLOUT : 0U);
-            if (std::exchange(side.interest, interest) != interest) watch(side.fd, interest, EPOLL_CTL_MOD);
+            if (std::exchange(side.interest, interest) != interest)
+                watch(side.socket.get(), interest, EPOLL_CTL_MOD);
         }
     }
 
     void hide(Side& side) {
-        by_fd_.erase(side.fd);
-        ::close(side.fd);
-        side.fd = -1;
+        by_fd_.erase(side.socket.get());
+        side.socket.reset();
     }
 
     void drop(Pair* pair, bool with_reset) {
         for (auto& side : pair->sides) {
-            if (side.fd < 0) continue;
-            by_fd_.erase(side.fd);
-            with_reset ? closeWithReset(side.fd) : static_cast<void>(::close(side.fd));
+            if (!side.socket.open()) continue;
+            by_fd_.erase(side.socket.get());
+            if (with_reset) closeWithReset(side.socket);
         }
         pairs_.erase(pair);
         delete pair;
     }
 
-    const int poll_;
-    const int wake_;
+    const Descriptor poll_;
+    const Descriptor wake_;
     std::atomic<bool> ending_{false};
     mutable std::mutex mutex_;
     // Guarded by mutex_:

@@ -1,12 +1,14 @@
 #!/usr/bin/python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Clients that work, watch or wait, entities, and connections over which nothing is sent, come and go for hours; the server and an
-Entity Manager that stays must end with the descriptors, threads and memory that they had at the beginning.
+"""For hours, clients and entities connect and leave; the clients run tasks, watch or wait. There are also connections over which
+nothing is sent. At the end, the server and an Entity Manager that stays must have as many descriptors and threads, and as much
+memory, as at the beginning.
 
     /usr/bin/python3 faults/soak.py --bin build/release/bin --minutes 120
 
-Prints a line each minute. The comparison begins after the first tenth of the time, when all that is allocated once has been.
-Exit status 1 where more than --mib MiB, --descriptors or any thread is left over; 2 where it could not be run, or somebody had no answer.
+Prints a line every minute. The comparison begins after the first tenth of the time, because some things are allocated only once.
+Exit status: 1 if memory grew by more than --mib MiB, descriptors by more than --descriptors, or threads at all; 2 if it could not be
+run, or a client had no answer.
 """
 import argparse
 import os
@@ -21,12 +23,12 @@ TESTS = pathlib.Path(__file__).resolve().parent.parent / "tests"
 sys.path[:0] = [str(TESTS / "hostile"), str(TESTS / "foreign")]
 sys.dont_write_bytecode = True
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--bin", help="where the programs are")
+parser.add_argument("--bin", help="folder of the programs")
 parser.add_argument("--minutes", type=float, default=120)
-parser.add_argument("--mib", type=float, default=8, help="of memory that each may have gained (default: 8)")
-parser.add_argument("--descriptors", type=int, default=4, help="that each may have gained (default: 4)")
+parser.add_argument("--mib", type=float, default=8, help="how much memory each may gain, in MiB (default: 8)")
+parser.add_argument("--descriptors", type=int, default=4, help="how many descriptors each may gain (default: 4)")
 parser.add_argument("--seed", type=int, default=1)
-parser.add_argument("--pause", type=float, default=0, metavar="SECONDS", help="between two rounds, to leave a part of the machine to others (default: 0)")
+parser.add_argument("--pause", type=float, default=0, metavar="SECONDS", help="wait between two rounds, to leave processor time to others (default: 0)")
 arguments = parser.parse_args()
 from rig import compile_contracts, make_laboratory  # noqa: E402
 

@@ -1,15 +1,16 @@
 #!/usr/bin/python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""How long a stop takes while somebody who may log in, or merely reaches a port, attacks as fast as one core lets him.
+"""How long a stop takes while an attacker, who may log in or only reaches a port, attacks as fast as one core permits.
 
     /usr/bin/python3 faults/under_attack.py --bin build/release/bin
 
-One client has a robot at work, and another one drills it (a stop's way, acknowledged without stopping), by the servers. Each attack
-of tests/hostile/attacks.py is made in its turn, between quiet times with as many drills. Prints a line for each: the medians and 99th
-percentiles from the call to the acknowledgement of the robot's application, and what became of the honest client, of the robot and of
-the server's memory. "blows" are calls, or batches of calls. Exit status 1 where a bound is broken: a 99th percentile above --times the quiet one (and above --least
-milliseconds), a session or task that ended, a drill that never arrived, memory of more than --times the quiet one, an attacker whom the
-server's log does not name; 2 where it could not be run.
+One client runs tasks on a robot, and another one drills it through the servers (a drill takes the way of a stop and stops nothing).
+Each attack of tests/hostile/attacks.py takes its turn, between quiet times with as many drills. Prints a line for each attack: the
+medians and 99th percentiles from the call to the acknowledgement of the robot's application, and whether the honest client, the robot
+and the server's memory were affected. "blows" are calls, or batches of calls.
+Exit status: 1 if a bound is broken: a 99th percentile above --times the quiet one (and above --least milliseconds), a session or task
+that ended, a drill that never arrived, memory of more than --times the quiet one, or an attacker that the server's log does not name;
+2 if it could not be run.
 """
 import argparse
 import json
@@ -24,13 +25,13 @@ TESTS = pathlib.Path(__file__).resolve().parent.parent / "tests"
 sys.path[:0] = [str(TESTS / "hostile"), str(TESTS / "foreign")]
 sys.dont_write_bytecode = True
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--bin", help="where the programs are")
-parser.add_argument("--attacks", metavar="NAME,…", help="only these (default: all)")
-parser.add_argument("--drills", type=int, default=1000, help="in each quiet time and under each attack (default: 1000)")
-parser.add_argument("--every", type=float, default=0.004, metavar="SECONDS", help="one drill each so often (default: 0.004)")
-parser.add_argument("--times", type=float, default=2, help="the quiet value that is still kept (default: 2)")
-parser.add_argument("--least", type=float, default=5, metavar="MS", help="no 99th percentile up to this is too long (default: 5)")
-parser.add_argument("--json", metavar="FILE", help="write the figures")
+parser.add_argument("--bin", help="folder of the programs")
+parser.add_argument("--attacks", metavar="NAME,…", help="make only these attacks (default: all)")
+parser.add_argument("--drills", type=int, default=1000, help="number of drills in each quiet time and under each attack (default: 1000)")
+parser.add_argument("--every", type=float, default=0.004, metavar="SECONDS", help="time from one drill to the next (default: 0.004)")
+parser.add_argument("--times", type=float, default=2, help="bound, as a multiple of the quiet value (default: 2)")
+parser.add_argument("--least", type=float, default=5, metavar="MS", help="a 99th percentile up to this is always accepted (default: 5)")
+parser.add_argument("--json", metavar="FILE", help="write the figures to this file")
 arguments = parser.parse_args()
 from rig import compile_contracts, make_laboratory  # noqa: E402
 from laboratory import Failed, wait_until  # noqa: E402

@@ -6,8 +6,8 @@
 #include "lab/camera_control.hpp"
 #include "lab/gripper_control.hpp"
 #include "lab/motion_control.hpp"
-#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/server_information.hpp"
+#include "robots/common/byte_stream.hpp"
 
 namespace axon::lab {
 
@@ -161,7 +161,7 @@ class ArcosServer {
     const Identity identity_;
     Port& port_;
     const bool has_laser_;
-    int baud_ = arcos::kFirstSpeed;
+    int baud_ = robots::kFirstSpeed;
     State state_ = State::NoClient;
     arcos::PacketReader reader_;
     MotionControl motion_;

@@ -421,10 +421,9 @@ void addItem(WorldDescription& world, std::string_view line, const ReadFile& rea
     } else if (const auto* device = deviceKind(kind)) {
         world.devices.push_back(parsed(kind, rest, ' ', usualPlacement(*device)));
     } else {
-        throw BadDescription(fmt::format(
-            "\"{}\": expected one of {}", kind,
-            fmt::join(withDeviceWords({"box", "glass", "map", "object", "peoplebot", "room", "table"}),
-                      ", ")));
+        throw BadDescription(
+            fmt::format("\"{}\": expected one of {}", kind,
+                        fmt::join(withDeviceWords({kOtherWords.begin(), kOtherWords.end()}), ", ")));
     }
 }
 

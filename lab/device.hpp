@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -18,7 +19,7 @@ using mjData = struct mjData_;
 /// What the laboratory has to know of a kind of robot that stands where it is put, such as an arm: how to
 /// build it, and what its controller does. A kind is a folder of this one with a function that gives its
 /// DeviceKind, and a word in the list DEVICES of CMakeLists.txt. PeopleBots, which drive about and sense, are
-/// not devices.
+/// not devices; README.md says why.
 namespace axon::lab {
 
 /// Where a device stands; in a world's file one line.
@@ -67,23 +68,29 @@ struct Measure {
     double least_move = 0;  ///< told again in a --truth file when it has changed by more than this
 };
 
+/// The line on which a client speaks to a controller: that of a device, of a PeopleBot or of a laser. There
+/// is one client at a time, and on a serial line nobody knows whether there is one. Threads: as of what it
+/// belongs to.
+class ClientLine {
+  public:
+    virtual ~ClientLine() = default;
+    virtual void clientConnected() {}
+    virtual void clientLost() {}
+    /// Bytes of the client, cut anywhere; gives what is answered at once.
+    virtual std::vector<std::uint8_t> receive(std::span<const std::uint8_t> bytes) = 0;
+    /// The speed of its end of a serial line; 0: any will do.
+    virtual int baud() const { return 0; }
+};
+
 /// One device: its body and its controller. Threads: none; used by whoever steps the physics. Time comes in
 /// with step() only, and the same calls give the same numbers.
-class Device {
+class Device : public ClientLine {
   public:
-    virtual ~Device() = default;
     /// As in the beginning of the world: the body at rest, the controller switched off and on, faults mended.
     /// mj_forward is the caller's.
     virtual void reset() = 0;
     /// Right before each step of the physics: what the controller does in this time, and with it the motors.
     virtual void step(Duration period) = 0;
-
-    virtual void clientConnected() {}
-    virtual void clientLost() {}
-    /// Bytes of the client, cut anywhere; gives the answers.
-    virtual std::vector<std::uint8_t> receive(std::span<const std::uint8_t> bytes) = 0;
-    /// The speed of its end of a serial line; 0: any will do.
-    virtual int baud() const { return 0; }
 
     /// Breaks something, or mends it. Throws std::invalid_argument, which says what was expected, for a kind
     /// of fault and a number that it does not have.
@@ -107,7 +114,19 @@ struct DeviceKind {
     std::unique_ptr<Device> (*make)(const DeviceParts& parts) = nullptr;
 };
 
-/// All there are, in the order of CMakeLists.txt.
+/// What begins the other lines of a world's file, and is therefore no kind's word.
+inline constexpr std::array<std::string_view, 7> kOtherWords{"box",       "glass", "map",  "object",
+                                                             "peoplebot", "room",  "table"};
+/// The other options of axon-lab, which are therefore no kind's nouns.
+inline constexpr std::array<std::string_view, 20> kOtherOptions{
+    "box",   "clock",  "empty",  "help", "laser", "listen", "noise", "object", "port", "pty",
+    "robot", "room-x", "room-y", "seed", "speed", "step",   "table", "truth",  "view", "world"};
+
+/// Gives back the kinds where each has a word, a noun and a first port of its own, and neither word nor noun
+/// is one of the above. Otherwise throws std::invalid_argument, which says what has to be changed.
+std::vector<DeviceKind> distinct(std::vector<DeviceKind> kinds);
+
+/// All there are, in the order of CMakeLists.txt. Throws as distinct().
 const std::vector<DeviceKind>& deviceKinds();
 /// The kind whose lines begin with this word, or nothing.
 const DeviceKind* deviceKind(std::string_view word);

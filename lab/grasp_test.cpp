@@ -38,7 +38,7 @@ class GraspTest : public ::testing::Test, public arcos::ClientSession::Port {
             },
             Laboratory::Options{.seed = 1, .noise = 1});
         inbox_.clear();
-        lab_->clientConnected(0);
+        lab_->robot(0).clientConnected();
         session_.begin(lab_->now());
         run(1.0);
         ASSERT_EQ(session_.state(), arcos::ClientSession::State::Online);
@@ -46,12 +46,14 @@ class GraspTest : public ::testing::Test, public arcos::ClientSession::Port {
     }
     void TearDown() override { session_.end("over"); }
 
-    void send(const arcos::Bytes& bytes) override { lab_->receive(0, bytes); }
+    void send(const arcos::Bytes& bytes) override { lab_->robot(0).receive(bytes); }
     void onOnline(const arcos::RobotIdentity& /*identity*/) override {}
     void onState(const arcos::RobotState& /*state*/) override {}
     void onLost(const std::string& /*reason*/) override {}
 
-    void order(Command command, int argument) { lab_->receive(0, arcos::encodeCommand(command, argument)); }
+    void order(Command command, int argument) {
+        lab_->robot(0).receive(arcos::encodeCommand(command, argument));
+    }
     void grip(GripperOrder what) { order(Command::Gripper, static_cast<int>(what)); }
     void tick() {
         for (const auto& packet : wire_.feed(inbox_, lab_->now())) {

@@ -64,7 +64,7 @@ void addOptions(CLI::App& app, LabOptions& options) {
     app.add_option("--object", options.objects,
                    "An object: name=,colour=,shape=,x=,y=,z=,theta=,dx=,dy=,dz=,mass=")
         ->allow_extra_args(false);
-    app.add_flag("--empty", options.empty, "Leave out the things that stand in the room");
+    app.add_flag("--empty", options.empty, "Leave out boxes, tables and objects");
     app.add_option("--room-x", options.room_x, "Length of the room in metres");
     app.add_option("--room-y", options.room_y, "Width of the room in metres");
     app.add_option("--listen", options.server.listen, "Address to listen on; robots ask for no password")
@@ -78,7 +78,8 @@ void addOptions(CLI::App& app, LabOptions& options) {
     app.add_flag("--step", options.server.step,
                  R"(Time passes only by {"do":"step","ms":100} at the control port)");
     app.add_option("--seed", options.server.seed, "Seed of the sensors' noise")->capture_default_str();
-    app.add_option("--noise", options.server.noise, "Noise of the sensors: 1 = as real ones have, 0 = none")
+    app.add_option("--noise", options.server.noise,
+                   "Noise of the sensors: 1 = that of real sensors, 0 = none")
         ->capture_default_str()
         ->check(CLI::Range(0.0, 10.0));
     app.add_flag("--view", options.server.overview,

@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <fstream>
+#include <set>
 #include <sstream>
 
 namespace axon::lab {
@@ -51,6 +52,15 @@ TEST_F(LabOptionsTest, DevicesOfAllKindsAreKeptInTheirOrder) {
     EXPECT_THAT(options.robots, ::testing::ElementsAre("x=2"));
 }
 
+TEST_F(LabOptionsTest, NoNounOfADeviceCanBeAnOptionThatThereIsAlready) {
+    std::set<std::string> others;
+    for (const auto* option : app_.get_options()) {
+        for (const auto& name : option->get_lnames()) others.insert(name);
+    }
+    for (const auto& kind : deviceKinds()) others.erase(kind.noun);
+    EXPECT_THAT(others, ::testing::ElementsAreArray(kOtherOptions));
+}
+
 TEST_F(LabOptionsTest, TheHelpNamesEveryKeyOfAThing) {
     std::vector<std::pair<std::string, std::function<void()>>> things{
         {"--robot", [] { parseRobot("?=1", 0); }},
@@ -85,6 +95,7 @@ TEST_F(LabOptionsTest, HelpAndReadmeTellThePortsAndTheWorldThatThereAre) {
     std::vector ports{Server::kFirstPort, Server::kFirstCameraPort, Server::kFirstActsPort,
                       Server::kFirstLaserPort};
     for (const auto& kind : deviceKinds()) ports.push_back(kind.first_port);
+    EXPECT_EQ(std::set(ports.begin(), ports.end()).size(), ports.size()) << "two begin at the same port";
     for (const int port : ports) {
         EXPECT_THAT(help, HasSubstr(std::to_string(port)));
         EXPECT_THAT(readme, HasSubstr(fmt::format("| {} and up", port)));

@@ -85,10 +85,7 @@ class LabServer::Loop final : Control::Operator {
             if (arcos > 65535)
                 throw BadDescription(
                     fmt::format("robot {} would get port {}: choose a smaller --port", robot.name, arcos));
-            robots_.push_back({.kind = Link::Kind::Robot, .index = i});
-            openLink(robots_.back(), arcos);
-            // Nobody knocks on a serial line: the robot listens from the start.
-            if (options_.pty) lab_.clientConnected(i);
+            openLink(robots_.emplace_back(lab_.robot(i)), arcos);
             if (arcos != 0) next = arcos + 1;
             pictures.cameras.push_back(port(kFirstCameraPort, i));
             pictures.acts.push_back(port(kFirstActsPort, i));
@@ -97,13 +94,12 @@ class LabServer::Loop final : Control::Operator {
         std::map<std::string, std::size_t> of_its_kind;
         for (std::size_t i = 0; i < world_.devices.size(); ++i) {
             const auto& device = world_.devices[i];
-            devices_.push_back({.kind = Link::Kind::Device, .index = i});
-            openLink(devices_.back(), device.port.value_or(port(deviceKind(device.kind)->first_port,
-                                                                of_its_kind[device.kind]++)));
+            openLink(
+                devices_.emplace_back(lab_.device(i)),
+                device.port.value_or(port(deviceKind(device.kind)->first_port, of_its_kind[device.kind]++)));
         }
         for (std::size_t i = 0; options_.lasers && i < world_.robots.size(); ++i) {
-            lasers_.push_back({.kind = Link::Kind::Laser, .index = i});
-            openLink(lasers_.back(), port(kFirstLaserPort, i));
+            openLink(lasers_.emplace_back(lab_.laser(i)), port(kFirstLaserPort, i));
         }
         control_listener_ = listenOn(options_.listen, port(kControlPort, 0));
         if (options_.overview) pictures.overview = port(kOverviewPort, 0);
@@ -192,9 +188,9 @@ class LabServer::Loop final : Control::Operator {
 
   private:
     struct Link {
-        enum class Kind { Robot, Device, Laser };
-        Kind kind = Kind::Robot;
-        std::size_t index = 0;
+        explicit Link(ClientLine& of) : line(of) {}
+
+        ClientLine& line;
         Descriptor listener{};
         Descriptor client{};
         std::optional<Terminal> terminal{};  // with --pty: there is no listener, and no client
@@ -219,10 +215,12 @@ class LabServer::Loop final : Control::Operator {
     }
 
     void openLink(Link& link, int port) const {
-        if (options_.pty)
-            link.terminal = openTerminal();
-        else
+        if (!options_.pty) {
             link.listener = listenOn(options_.listen, port);
+            return;
+        }
+        link.terminal = openTerminal();
+        link.line.clientConnected();  // nobody knocks on a serial line: it is heard from the start
     }
 
     Duration tick() const {
@@ -263,7 +261,7 @@ class LabServer::Loop final : Control::Operator {
             followTracks();
             if (truth_.open()) writeTruth();
         }
-        for (auto* links : {&robots_, &lasers_}) {
+        for (auto* links : {&robots_, &devices_, &lasers_}) {
             for (auto& link : *links) {
                 if (!link.broken) continue;
                 hearOut(link);  // its last order may be to stop
@@ -328,8 +326,7 @@ class LabServer::Loop final : Control::Operator {
         if (!client.open() || link.client.open()) return;  // busy: closing the connection is the refusal
         link.client = std::move(client);
         link.broken = false;
-        if (link.kind == Link::Kind::Device) lab_.device(link.index).clientConnected();
-        if (link.kind == Link::Kind::Robot) lab_.clientConnected(link.index);
+        link.line.clientConnected();
     }
 
     /// What a client has said already, before something happens to its connection.
@@ -345,39 +342,19 @@ class LabServer::Loop final : Control::Operator {
             const auto bytes = std::span(chunk).first(static_cast<std::size_t>(got));
             const bool noise = garbled(link);
             if (noise) garble(bytes);
-            switch (link.kind) {
-                case Link::Kind::Device:
-                    send(link, lab_.device(link.index).receive(bytes));
-                    break;
-                case Link::Kind::Laser:
-                    // As it was before the laser changed its speed.
-                    send(link, lab_.receiveLaser(link.index, bytes), noise);
-                    break;
-                case Link::Kind::Robot:
-                    lab_.receive(link.index, bytes);
-                    return true;  // answers from within a step: what is broken is dropped after it
-            }
-            if (link.broken) drop(link);
+            // At the speed that the line had before the client changed it. A robot answers from within a
+            // step: what broke there is dropped after it, when the client was heard out.
+            const bool broken_before = link.broken;
+            send(link, link.line.receive(bytes), noise);
+            if (link.broken && !broken_before) drop(link);
         } else if (got == 0 || (errno != EAGAIN && errno != EINTR)) {
             drop(link);
         }
         return got > 0;
     }
 
-    /// The speed of the device's end of a serial line; 0 where any will do.
-    int speedOfDevice(const Link& link) const {
-        switch (link.kind) {
-            case Link::Kind::Robot:
-                return lab_.controller(link.index).baud();
-            case Link::Kind::Laser:
-                return lab_.laser(link.index).baud();
-            case Link::Kind::Device:
-                return lab_.device(link.index).baud();
-        }
-        return 0;
-    }
     bool garbled(const Link& link) const {
-        const int speed = link.terminal ? speedOfDevice(link) : 0;
+        const int speed = link.terminal ? link.line.baud() : 0;
         return speed != 0 && speedOf(*link.terminal) != speed;
     }
     /// What a byte looks like at another speed: not like this, but it is none that was sent either.
@@ -404,8 +381,7 @@ class LabServer::Loop final : Control::Operator {
         link.broken = false;
         if (!link.client.open()) return;
         link.client.reset();
-        if (link.kind == Link::Kind::Robot) lab_.clientLost(link.index);
-        if (link.kind == Link::Kind::Device) lab_.device(link.index).clientLost();
+        link.line.clientLost();
     }
 
     void read(ControlClient& client) {

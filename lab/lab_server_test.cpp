@@ -53,7 +53,7 @@ class LabServerTest : public ::testing::Test {
     }
     std::unique_ptr<ArcosClient> connect(std::size_t robot = 0) {
         auto client = std::make_unique<ArcosClient>(
-            arcos::tcpStreams(address(robot)),
+            robots::tcpStreams(address(robot)),
             ArcosClient::Callbacks{.on_lost = [this](const std::string& reason) {
                 const std::lock_guard lock(mutex_);
                 lost_.push_back(reason);
@@ -109,9 +109,9 @@ TEST_F(LabServerTest, ASecondClientIsRefusedAndTheFirstNotesNothing) {
 
 TEST_F(LabServerTest, AClientThatClosesAndConnectsAgainWithinATickIsNotRefused) {
     serve(1, 1);
-    const auto open = arcos::tcpStreams(address());
+    const auto open = robots::tcpStreams(address());
     const auto sync = arcos::encodeCommand(Command::Pulse);  // shares its number with SYNC0
-    std::unique_ptr<arcos::ByteStream> stream;
+    std::unique_ptr<robots::ByteStream> stream;
     for (int i = 0; i < 20; ++i) {
         stream.reset();
         auto opened = open(std::chrono::seconds{5});
@@ -171,7 +171,7 @@ TEST_F(LabServerTest, RobotsHavePortsOfTheirOwnAndDoNotMix) {
 class ControlLine {
   public:
     explicit ControlLine(const std::string& address)
-        : stream_(std::move(arcos::tcpStreams(address)(std::chrono::seconds{2}).value())) {}
+        : stream_(std::move(robots::tcpStreams(address)(std::chrono::seconds{2}).value())) {}
     std::string ask(const std::string& request) {
         say(request);
         return answer();
@@ -196,7 +196,7 @@ class ControlLine {
     }
 
   private:
-    std::unique_ptr<arcos::ByteStream> stream_;
+    std::unique_ptr<robots::ByteStream> stream_;
     std::string in_;
 };
 
@@ -214,13 +214,13 @@ class WholeLab : public LabServerTest {
         server_ = std::make_unique<LabServer>(world, options);
         thread_ = std::thread([this] { server_->run(); });
     }
-    std::unique_ptr<arcos::ByteStream> open(const std::string& name) {
-        return std::move(arcos::robotStreams(server_->address(name))(std::chrono::seconds{2}).value());
+    std::unique_ptr<robots::ByteStream> open(const std::string& name) {
+        return std::move(robots::robotStreams(server_->address(name))(std::chrono::seconds{2}).value());
     }
-    static void say(arcos::ByteStream& stream, const std::string& text) {
+    static void say(robots::ByteStream& stream, const std::string& text) {
         EXPECT_TRUE(stream.write(std::vector<std::uint8_t>(text.begin(), text.end())));
     }
-    static std::string hear(arcos::ByteStream& stream, std::size_t bytes) {
+    static std::string hear(robots::ByteStream& stream, std::size_t bytes) {
         std::string heard;
         EXPECT_TRUE(waitUntil([&] {
             std::array<std::uint8_t, 65536> chunk;
@@ -257,7 +257,7 @@ TEST_F(WholeLab, AnArmIsTalkedToOverATerminal) {
 TEST_F(WholeLab, ARobotsSerialLineIsRaisedAndAKilledProgramsRobotIsFoundThere) {
     serveAll({.speed = 1, .pty = true});
     const auto connect = [this] {
-        auto client = std::make_unique<ArcosClient>(arcos::robotStreams(server_->address("Robot")),
+        auto client = std::make_unique<ArcosClient>(robots::robotStreams(server_->address("Robot")),
                                                     ArcosClient::Callbacks());
         client->start();
         return client;
@@ -279,7 +279,7 @@ TEST_F(WholeLab, ALaserOnALineOfItsOwnIsHeardOverBothKindsOfLinks) {
         std::mutex mutex;
         std::vector<lms2xx::Scan> scans;
         std::optional<lms2xx::Setting> setting;
-        lms2xx::Lms2xxClient laser(arcos::robotStreams(server_->address("Robot.laser")),
+        lms2xx::Lms2xxClient laser(robots::robotStreams(server_->address("Robot.laser")),
                                    {.on_online =
                                         [&](const lms2xx::Setting& now) {
                                             const std::lock_guard lock(mutex);
@@ -436,7 +436,7 @@ TEST_F(LabServerTest, AnAddressInUseIsNamedWithTheMend) {
 
 TEST_F(LabServerTest, GarbageDisturbsNothing) {
     serve();
-    auto opened = arcos::tcpStreams(address())(std::chrono::seconds{2});
+    auto opened = robots::tcpStreams(address())(std::chrono::seconds{2});
     ASSERT_TRUE(opened);
     SeededRandom random(7);
     arcos::Bytes noise(5000);
@@ -449,7 +449,7 @@ TEST_F(LabServerTest, GarbageDisturbsNothing) {
 
 TEST(TcpStreams, ABadAddressIsNamedWithAnExample) {
     for (const char* address : {"", "host", "host:", ":8101", "host:0", "host:65536", "host:81a"}) {
-        EXPECT_THROW(arcos::tcpStreams(address), std::invalid_argument) << address;
+        EXPECT_THROW(robots::tcpStreams(address), std::invalid_argument) << address;
     }
 }
 

@@ -6,8 +6,32 @@
 namespace axon::lab {
 
 struct Laboratory::Controller final : ArcosServer::Port {
-    Controller(std::size_t number, const std::string& name, Send to, const LaserLines& lasers)
+    struct RobotLine final : ClientLine {
+        explicit RobotLine(Controller& of) : robot(of) {}
+        void clientConnected() override { robot.arcos.clientConnected(robot.now); }
+        void clientLost() override { robot.arcos.clientLost(); }
+        std::vector<std::uint8_t> receive(std::span<const std::uint8_t> bytes) override {
+            robot.arcos.receive(bytes, robot.now);
+            return {};
+        }
+        int baud() const override { return robot.arcos.baud(); }
+
+        Controller& robot;
+    };
+    struct LaserLine final : ClientLine {
+        explicit LaserLine(Controller& of) : robot(of) {}
+        std::vector<std::uint8_t> receive(std::span<const std::uint8_t> bytes) override {
+            return robot.laser.value().receive(bytes, robot.now);
+        }
+        int baud() const override { return robot.laser.value().baud(); }
+
+        Controller& robot;
+    };
+
+    Controller(std::size_t number, const std::string& name, const TimePoint& time, Send to,
+               const LaserLines& lasers)
         : index(number),
+          now(time),
           out(std::move(to)),
           laser_out(lasers.send),
           arcos({.name = name}, *this, !lasers.send) {
@@ -16,17 +40,20 @@ struct Laboratory::Controller final : ArcosServer::Port {
     void send(const arcos::Bytes& bytes) override { out(index, bytes); }
 
     std::size_t index;
+    const TimePoint& now;
     Send out;
     Send laser_out;
     ArcosServer arcos;
     std::optional<LmsServer> laser;
+    RobotLine robot_line{*this};
+    LaserLine laser_line{*this};
 };
 
 Laboratory::Laboratory(const WorldDescription& world, Send send, const Options& options,
                        const LaserLines& lasers)
     : physics_((validate(world), world), options) {
     for (std::size_t i = 0; i < world.robots.size(); ++i) {
-        controllers_.push_back(std::make_unique<Controller>(i, world.robots[i].name, send, lasers));
+        controllers_.push_back(std::make_unique<Controller>(i, world.robots[i].name, now_, send, lasers));
     }
 }
 Laboratory::~Laboratory() = default;
@@ -54,20 +81,11 @@ void Laboratory::reset() {
     for (const auto& controller : controllers_) controller->arcos.encodersJumped();
 }
 
-void Laboratory::clientConnected(std::size_t robot) {
-    controllers_[robot]->arcos.clientConnected(now_);
+ClientLine& Laboratory::robot(std::size_t index) {
+    return controllers_.at(index)->robot_line;
 }
-void Laboratory::clientLost(std::size_t robot) {
-    controllers_[robot]->arcos.clientLost();
-}
-void Laboratory::receive(std::size_t robot, std::span<const std::uint8_t> bytes) {
-    controllers_[robot]->arcos.receive(bytes, now_);
-}
-std::vector<std::uint8_t> Laboratory::receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes) {
-    return controllers_.at(robot)->laser.value().receive(bytes, now_);
-}
-const LmsServer& Laboratory::laser(std::size_t robot) const {
-    return controllers_.at(robot)->laser.value();
+ClientLine& Laboratory::laser(std::size_t robot) {
+    return controllers_.at(robot)->laser_line;
 }
 const ArcosServer& Laboratory::controller(std::size_t robot) const {
     return controllers_[robot]->arcos;

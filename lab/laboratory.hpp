@@ -40,13 +40,12 @@ class Laboratory {
     Duration age() const { return now_ - TimePoint{}; }
 
     std::size_t robots() const { return controllers_.size(); }
-    void clientConnected(std::size_t robot);
-    void clientLost(std::size_t robot);
-    void receive(std::size_t robot, std::span<const std::uint8_t> bytes);
+    /// A robot's line. It answers through Send, within the next step().
+    ClientLine& robot(std::size_t index);
     const ArcosServer& controller(std::size_t robot) const;
-    /// With LaserLines only: what the laser answers. An answer to a change of speed still has the old one.
-    std::vector<std::uint8_t> receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes);
-    const LmsServer& laser(std::size_t robot) const;
+    /// With LaserLines only: the line of a robot's laser. An answer to a change of speed still has the old
+    /// one; scans come through LaserLines::send.
+    ClientLine& laser(std::size_t robot);
     Truth truth(std::size_t robot) const { return physics_.truth(robot); }
 
     /// Of the world's devices, in its order.

@@ -136,7 +136,7 @@ TEST_F(LmsServerTest, WhatItDoesNotKnowIsRefusedAndWhatIsDamagedIsNotAcknowledge
 /// there.
 class LmsInTheLaboratoryTest : public ::testing::Test, public lms2xx::ClientSession::Port {
   protected:
-    void send(const Bytes& bytes) override { newBytes(lab_.receiveLaser(0, bytes)); }
+    void send(const Bytes& bytes) override { newBytes(lab_.laser(0).receive(bytes)); }
     void onOnline(const lms2xx::Setting& setting) override { setting_ = setting; }
     void onScan(const lms2xx::Scan& scan) override {
         scans_.push_back(scan);

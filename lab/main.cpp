@@ -42,13 +42,9 @@ int main(int argc, char** argv) {
         "The virtual laboratory: PeopleBots and Cytons in a room with physics, reached like real ones.",
         "axon-lab"};
     LabOptions options;
-    addOptions(app, options);
     try {
+        addOptions(app, options);
         app.parse(argc, argv);
-    } catch (const CLI::ParseError& error) {
-        return app.exit(error) == 0 ? 0 : 2;
-    }
-    try {
         // Who furnishes a room wants an own one.
         const bool furnished = options.empty || options.room_x > 0 || options.room_y > 0 ||
                                !(options.robots.empty() && options.devices.empty() && options.boxes.empty() &&
@@ -75,6 +71,8 @@ int main(int argc, char** argv) {
         fmt::print("{}\n", line);
         std::fflush(stdout);
         server.run();
+    } catch (const CLI::ParseError& error) {
+        return app.exit(error) == 0 ? 0 : 2;
     } catch (const std::exception& error) {
         fmt::print(stderr, "axon-lab: {}\n", error.what());
         return 2;

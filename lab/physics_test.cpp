@@ -20,7 +20,7 @@ class PhysicsTest : public ::testing::Test, public arcos::ClientSession::Port {
         lab_ = std::make_unique<Laboratory>(world, [this](std::size_t robot, const arcos::Bytes& bytes) {
             if (robot == 0) inbox_.insert(inbox_.end(), bytes.begin(), bytes.end());
         });
-        lab_->clientConnected(0);
+        lab_->robot(0).clientConnected();
         session_.begin(lab_->now());
         run(0.3);
         ASSERT_EQ(session_.state(), arcos::ClientSession::State::Online);
@@ -34,12 +34,14 @@ class PhysicsTest : public ::testing::Test, public arcos::ClientSession::Port {
         start(world);
     }
 
-    void send(const arcos::Bytes& bytes) override { lab_->receive(0, bytes); }
+    void send(const arcos::Bytes& bytes) override { lab_->robot(0).receive(bytes); }
     void onOnline(const arcos::RobotIdentity& /*identity*/) override {}
     void onState(const arcos::RobotState& /*state*/) override {}
     void onLost(const std::string& reason) override { lost_.push_back(reason); }
 
-    void order(Command command, int argument) { lab_->receive(0, arcos::encodeCommand(command, argument)); }
+    void order(Command command, int argument) {
+        lab_->robot(0).receive(arcos::encodeCommand(command, argument));
+    }
     void run(double seconds) {
         const auto end =
             lab_->age() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(seconds));
@@ -443,14 +445,14 @@ TEST(SerialLineTest, ARobotFillsALineOf9600BaudAndAQuarterOfOneOf38400) {
     // The laser has a line of its own, as on the real robot.
     Laboratory lab(world, [&bytes](std::size_t, const arcos::Bytes& said) { bytes += said.size(); }, {},
                    {.send = [](std::size_t, const arcos::Bytes&) {}, .serial = true});
-    lab.clientConnected(0);
-    for (const int sync : {0, 1, 2}) lab.receive(0, arcos::encodeCommand(static_cast<Command>(sync)));
-    lab.receive(0, arcos::encodeCommand(Command::Open));
-    lab.receive(0, arcos::encodeCommand(Command::IoRequest, 2));
+    lab.robot(0).clientConnected();
+    for (const int sync : {0, 1, 2}) lab.robot(0).receive(arcos::encodeCommand(static_cast<Command>(sync)));
+    lab.robot(0).receive(arcos::encodeCommand(Command::Open));
+    lab.robot(0).receive(arcos::encodeCommand(Command::IoRequest, 2));
     bytes = 0;
     constexpr int kSeconds = 20;
     for (int second = 0; second < kSeconds; ++second) {
-        lab.receive(0, arcos::encodeCommand(Command::Pulse));
+        lab.robot(0).receive(arcos::encodeCommand(Command::Pulse));
         for (int i = 0; i < 250; ++i) lab.step();
     }
     const double bits_per_second =

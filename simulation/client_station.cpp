@@ -13,10 +13,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-// As src/client/session.cpp has them.
-constexpr Duration kFirstBackoff = 100ms;
-constexpr Duration kLastBackoff = 2s;
-constexpr Duration kLoginTimeout = 5s;
+constexpr Duration kLoginTimeout = 5s;  // as src/client/axon/client.hpp has it
 constexpr int kFirstClient = 10;
 
 }  // namespace
@@ -40,7 +37,6 @@ void ClientStation::start() {
     alarm_.forget();
     beat_.forget();
     life_ = std::make_unique<Life>(*this, random_);
-    life_->backoff = kFirstBackoff;
     establish();
     settle();
     if (on_start) on_start();
@@ -129,7 +125,7 @@ void ClientStation::attached(std::uint64_t attempt) {
     if (!hears(attempt)) return;
     auto& life = *life_;
     life.up = true;
-    life.backoff = kFirstBackoff;
+    life.backoff.reset();
     life.desk.onConnected(life.me);
     life.core.onConnected(life.me, life.told);
     timeline_.tell(process_.name(), [&] { return "is connected as " + life.me.id.substr(0, 8); });
@@ -151,8 +147,7 @@ void ClientStation::lost(std::uint64_t attempt, const char* reason) {
     life.desk.onDisconnected();
     life.data->close(process_);
     if (life.signal != nullptr) life.signal->close(process_);
-    life.retry_at = process_.now() + life.backoff;
-    life.backoff = std::min(life.backoff * 2, kLastBackoff);
+    life.retry_at = process_.now() + life.backoff.next();
     settle();
 }
 

@@ -6,10 +6,12 @@
 #include <vector>
 
 #include "client/base/server_link.hpp"
+#include "client/connection/reconnection.hpp"
 #include "client/core/session_core.hpp"
 #include "client/direct/direct_links.hpp"
 #include "client/direct/direct_sending.hpp"
 #include "client/stops/stop_desk.hpp"
+#include "common/backoff.hpp"
 #include "simulation/direct_ways.hpp"
 #include "simulation/network.hpp"
 #include "simulation/observer.hpp"
@@ -130,7 +132,7 @@ class ClientStation final : public client::ServerLink,
         bool up = false;
         std::uint64_t listening = 0;
         TimePoint retry_at = TimePoint::max();
-        Duration backoff{};
+        Backoff backoff{client::Reconnection::kFirst, client::Reconnection::kLast};
     };
     bool hears(std::uint64_t attempt) const { return life_ && life_->listening == attempt; }
     static constexpr std::size_t kPathsMost = 64;

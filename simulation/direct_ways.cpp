@@ -65,7 +65,7 @@ void SimulatedPath::opened(Lane lane, const std::string& proof) {
     if (ended_) return;
     if (!trusts(proof)) return close("who answers does not know the lease's key");
     if (lane == Lane::Data) return openLane(Lane::Signal);
-    silence.heard(clock_.now());
+    liveness.heard(clock_.now());
     open_ = true;
     ++data_.road->open;
     place_.events.directChanged();
@@ -123,7 +123,7 @@ void SimulatedPath::beat() const {
     if (!isOpen()) return;
     signal_.connection->beat(
         place_.client, [listener = signal_.road->listener, life = signal_.life,
-                        connection = signal_.connection, received = passed.load(), busy = silence.busy()] {
+                        connection = signal_.connection, received = passed.load(), busy = liveness.busy()] {
             if (listener->listeningProcess().life() == life) listener->keepAlive(*connection, received, busy);
         });
 }

@@ -34,7 +34,7 @@ struct SaidOpening {
     std::string proof;
 };
 
-/// Who listens for direct paths, in place of the door's two adapters (DirectGate and DirectSession). As its
+/// Who listens for direct paths, in place of the two doors (data_door.cpp, direct_door.cpp). As its
 /// process. `connection` is who calls.
 class DirectListener {
   public:
@@ -63,8 +63,8 @@ struct Road {
     int open = 0;  ///< paths that stand
 };
 
-/// A direct path over two connections of the simulated network: what src/client/direct/ice_direct_path.cpp is
-/// over Ice. Its outboxes have no bound.
+/// A direct path over two connections of the simulated network: what src/client/direct/network_path.cpp has
+/// in the real one. Its outboxes have no bound.
 class SimulatedPath final : public client::DirectPath,
                             public DirectCaller,
                             public std::enable_shared_from_this<SimulatedPath> {

@@ -6,8 +6,9 @@
 
 #include <algorithm>
 
+#include "common/backoff.hpp"
+#include "common/liveness.hpp"
 #include "common/rate_limit.hpp"
-#include "common/watchdog.hpp"
 #include "direct/always_relayed.hpp"
 #include "entity_manager/ports/stop_generations.hpp"
 #include "simulation/robot_application.hpp"
@@ -128,7 +129,7 @@ class EntityManagerStation::BackLane final : public entity_manager::DirectLane {
 /// All that is lost when the process dies.
 struct EntityManagerStation::Life {
     Life(EntityManagerStation& station, entity_manager::EntityManagerCoreSettings settings)
-        : link_watchdog(kWatchdogBusy, kWatchdogIdle, station.process_.now()),
+        : liveness(kWatchdogBusy, kWatchdogIdle, station.process_.now()),
           servers(station),
           ways(station.process_, servers,
                [&station](bool, const std::string& line) {
@@ -146,14 +147,14 @@ struct EntityManagerStation::Life {
     std::uint64_t link = 0;  ///< the application's number of it; 0 = none
     Connection* link_signal = nullptr;
     Connection* link_data = nullptr;
-    Watchdog link_watchdog;
+    Liveness liveness;  // of the application
     std::uint32_t announced = 0;
 
     // The session with the server.
     bool wanted = false;
     bool up = false;
     std::uint64_t attempt = 0;
-    Duration backoff = kFirstBackoff;
+    Backoff backoff{kFirstBackoff, kLastBackoff};
     Connection* data = nullptr;
     Connection* signal = nullptr;
     ServerStation::EntitySession* session = nullptr;
@@ -563,7 +564,7 @@ void EntityManagerStation::linkAnswered(std::uint64_t attempt, std::uint64_t lin
                              [this, link] { linkLost(link, "the robot application has closed the link"); });
     if (!life.link_signal->openAt(process_) || !life.link_data->openAt(process_))
         return linkLost(link, "the robot application has closed the link");
-    life.link_watchdog.feed(process_.now());
+    life.liveness.heard(process_.now());
     life.announced = life.stop_generations.generation();
     beat();
     life.core.onLinkUp();
@@ -617,7 +618,7 @@ void EntityManagerStation::drillDone(std::uint64_t link, std::uint32_t number) {
 
 void EntityManagerStation::applicationFrozen() {
     if (!life_ || life_->link == 0) return;
-    life_->link_watchdog.feed(process_.now());
+    life_->liveness.heard(process_.now());
     judgeSilence();
 }
 
@@ -626,14 +627,14 @@ void EntityManagerStation::judgeSilence() {
     if (!life_ || life_->link == 0) return;
     auto& life = *life_;
     if (!application_.process().frozen()) {
-        life.link_watchdog.feed(process_.now());
+        life.liveness.heard(process_.now());
         return;
     }
-    if (life.link_watchdog.expired(process_.now())) {
+    if (life.liveness.expired(process_.now())) {
         linkLost(life.link, "the robot application has been silent", entity_manager::LinkEnd::Silent);
         return;
     }
-    timeline_.at(process_.whenItShows(life.link_watchdog.deadline()), process_, [this, link = life.link] {
+    timeline_.at(process_.whenItShows(life.liveness.deadline()), process_, [this, link = life.link] {
         if (life_->link == link) judgeSilence();
     });
 }
@@ -664,8 +665,8 @@ void EntityManagerStation::stop(std::uint32_t generation, StopCause cause) {
 
 void EntityManagerStation::setBusy(bool busy) {
     auto& life = *life_;
-    if (life.link_watchdog.busy() == busy) return;
-    life.link_watchdog.setBusy(busy, process_.now());
+    if (life.liveness.busy() == busy) return;
+    life.liveness.setBusy(busy, process_.now());
     if (life.link == 0) return;
     beat();
     if (application_.process().frozen()) judgeSilence();
@@ -674,7 +675,7 @@ void EntityManagerStation::setBusy(bool busy) {
 void EntityManagerStation::beat() {
     auto& life = *life_;
     life.link_signal->send(
-        process_, [this, link = life.link, generation = life.announced, busy = life.link_watchdog.busy()] {
+        process_, [this, link = life.link, generation = life.announced, busy = life.liveness.busy()] {
             application_.onBeat(link, generation, busy);
         });
 }
@@ -742,7 +743,7 @@ void EntityManagerStation::attached(std::uint64_t attempt) {
 void EntityManagerStation::registered(std::uint64_t attempt, bool ok) {
     if (!hears(attempt)) return;
     if (ok)
-        life_->backoff = kFirstBackoff;
+        life_->backoff.reset();
     else
         serverLost(attempt, "the registration was refused");
 }
@@ -760,10 +761,9 @@ void EntityManagerStation::serverLost(std::uint64_t attempt, const char* reason)
         settle();
     }
     if (!life.wanted) return;
-    timeline_.after(life.backoff, process_, [this, dropped] {
+    timeline_.after(life.backoff.next(), process_, [this, dropped] {
         if (life_->wanted && !life_->up && life_->attempt == dropped) login();
     });
-    life.backoff = std::min(life.backoff * 2, kLastBackoff);
 }
 
 void EntityManagerStation::dropServer() {
@@ -787,7 +787,7 @@ void EntityManagerStation::Servers::wantConnection(bool wanted) {
     if (life.wanted == wanted) return;
     life.wanted = wanted;
     if (wanted) {
-        life.backoff = kFirstBackoff;
+        life.backoff.reset();
         station.login();
         return;
     }

@@ -22,7 +22,7 @@ constexpr const char* kUsage =
     R"(axon-simulate runs the product's own cores on virtual time and a simulated network, and checks its promises.
   --seeds A..B     play these seeds, both included (default 1..1000)
   --faults PROFILE faults to inject: none, delay, loss, duplication, reorder, partition, crash, pause, slow,
-                   drift, direct, lies, all (default: all); "each" takes one after the other, seed by seed
+                   drift, direct, lies, all (default: all); "each" takes another one for each seed, in turn
   --story SEED     play this one seed and print what happens in it
   --json FILE      write the figures to this file
   --jobs N         number of threads (default: the number of cores)

@@ -437,9 +437,9 @@ void Observer::hears(const Header& head) {
 
 void Observer::pathOpens(std::size_t number, bool proper) {
     if (!proper)
-        violated(
-            Invariant::OneLease,
-            entities_[number].name + ": somebody opens a direct path who has not proved to be the holder");
+        violated(Invariant::OneLease,
+                 entities_[number].name +
+                     ": a direct path is opened by somebody who has not proved to be the holder");
 }
 
 std::vector<std::pair<LeaseNumber, std::string>> Observer::endedLeases() const {
@@ -564,7 +564,7 @@ void Observer::judgeMotion(std::size_t number) {
         client_bound +
         Duration{static_cast<Duration::rep>(static_cast<double>(entity.alone.count()) * (1 + drift_))};
     if (entity.present_holder.empty())
-        judge(entity.holder_since, client_bound, below_client, "nobody held it any more");
+        judge(entity.holder_since, client_bound, below_client, "nobody held it");
     if (const auto found = sessions_.find(entity.present_holder); found != sessions_.end()) {
         const auto& session = found->second;
         if (session.ended_at)

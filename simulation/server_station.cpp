@@ -85,7 +85,7 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     using Traffic = transport::Traffic;
     using Parcel = std::function<void(ClientStation& to, std::uint64_t attempt)>;
     using Core = transport::OutboxCore<Parcel>;
-    static constexpr std::size_t kOverhead = 256;  // as in transport/outbox/callback_sender.hpp
+    static constexpr std::size_t kOverhead = 256;  // as in transport/outbox/proxy_sender.hpp
 
     bool entityMsg(Lane lane, direct::Keeping keeping, const Header& head, std::string_view message,
                    SenderKey from) {

@@ -21,7 +21,7 @@ MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entit
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")
 EI_PUBLIC = ("src/entity_interfacer/axon/*.hpp",)
 # What a program that links the client library includes, and what that says refusals and states by.
-CLIENT_PUBLIC = ("src/client/axon/*.hpp", "src/common/axon/*.hpp", "src/common/axon/refusals.def")
+CLIENT_PUBLIC = ("src/client/axon/*.hpp", "src/common/axon/*.hpp", "src/common/axon/*.def")
 
 # Where Ice may be seen (invariant 8). Every other file talks to it through src/transport.
 ICE_ALLOWED = (
@@ -31,7 +31,7 @@ ICE_ALLOWED = (
     "src/front_end_server/*servant*",
     "src/client/connection/communicators.*",
     "src/client/connection/server_connection*",
-    "src/client/direct/ice_direct_path.*",
+    "src/client/direct/network_path.*",
     "src/entity_manager/links/server/*",
     "src/entity_manager/links/direct/direct_door.*",
     "src/entity_manager/main.cpp",
@@ -71,8 +71,8 @@ CORES = (
     "src/datagrams/endpoint.*",
     "src/direct/*",
 )
-# In common/ids.cpp random bytes enter (getrandom), in the next two time, and the last one writes a log; host/settings_file.cpp reads settings files.
-CORE_EXCEPTIONS = ("src/common/ids.cpp", "src/common/clock.hpp", "src/common/shared_clock.cpp", "src/client/base/log.*")
+# In common/ids.cpp random bytes enter (getrandom), in the next two time, the next writes a log, and the last is the socket of a lane; host/settings_file.cpp reads settings files.
+CORE_EXCEPTIONS = ("src/common/ids.cpp", "src/common/clock.hpp", "src/common/shared_clock.cpp", "src/client/base/log.*", "src/direct/lane/lane_socket.*")
 
 ICE_HEADER = re.compile(r"^(Ice|IceUtil|IceSSL|IceBox|IceGrid|IceStorm|Glacier2)/|^axon/(commutil|directcomm|entitycomm|frontendcomm)\.h$")
 PROTOBUF_HEADER = re.compile(r"^google/protobuf/|\.pb\.h$")

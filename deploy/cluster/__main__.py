@@ -20,8 +20,8 @@ EPILOG = f"""\
   axon-cluster down
 
 Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}.
-Exit status: 0 done (status: everything runs); 1 a program did not start or does not run; 2 wrong options, a port that is
-taken, or a missing package. docs/how-to/deploy.md explains every file of the folder."""
+Exit status: 0 done (status: everything runs); 1 a program did not start or is not running; 2 wrong options, a port that is
+in use, or a missing package. docs/how-to/deploy.md explains every file of the folder."""
 
 
 def parse(arguments):
@@ -37,7 +37,7 @@ def parse(arguments):
     def add(name, text):
         return verbs.add_parser(name, parents=[common], help=text, description=text)
 
-    up = add("up", "Starts the programs that do not run and waits until the cluster can be used. Options that are not given keep their values.")
+    up = add("up", "Starts the programs that are not running and waits until the cluster can be used. Options that are not given keep their values.")
     up.add_argument("--front-ends", type=int, metavar="N", help=f"front-end servers, 1 to {SERVERS_MAX} (1)")
     up.add_argument("--entity-servers", type=int, metavar="M", help=f"entity servers, 1 to {SERVERS_MAX} (1)")
     up.add_argument("--base-port", type=int, metavar="P", help=f"first of 200 ports ({BASE_PORT}); 0 = a free range")

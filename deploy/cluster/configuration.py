@@ -126,9 +126,9 @@ def icebox():
 # IceBox, the host process of IceStorm:  icebox --Ice.Config=icebox.cfg
 # What it runs, and that service's own file (relative to the folder that icebox is started in):
 IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config=icestorm.cfg
-# The line "IceStorm ready" says that it runs:
+# Print the line "IceStorm ready" when it runs:
 IceBox.PrintServicesReady=IceStorm
-# No administration from outside: who reaches it could end the process.
+# No administrative object: anybody who reached it could end the process.
 Ice.Admin.Enabled=0
 """
 
@@ -137,20 +137,20 @@ def icestorm(plan):
     return f"""\
 # IceStorm: the topics FrontEndToEntity and EntityToFrontEnd between front-end servers and entity servers.
 IceStorm.InstanceName=IceStorm
-# Topics and subscriptions live in memory; the servers notice a restart, and have made them anew within two seconds:
+# Nothing is kept on disk; after a restart the servers create topics and subscriptions again, within two seconds:
 IceStorm.Transient=1
-# Where the servers find the topics (their Server.TopicManager). Nobody else needs to reach this:
+# Where the servers find the topics (their Server.TopicManager); nobody else has to reach this:
 IceStorm.TopicManager.Endpoints={tcp(plan, "icestorm", "topics")}
 # Where they publish:
 IceStorm.Publish.Endpoints={tcp(plan, "icestorm", "publish")}
-# Several threads, and yet the messages of one publisher in their order. IceBox warns that it does not know Serialize;
+# Several threads, which keep the messages of each publisher in order. IceBox warns that it does not know Serialize, but
 # IceStorm obeys it.
 IceStorm.Publish.ThreadPool.Size=4
 IceStorm.Publish.ThreadPool.Serialize=1
-# A subscriber that does not read has so many messages kept; then the oldest is dropped. Signals do not depend on it:
+# How many messages are kept for a subscriber that does not read; then the oldest is dropped. No stop depends on this:
 IceStorm.Send.QueueSizeMax=1000
 IceStorm.Send.QueueSizeMaxPolicy=DropEvents
-# A subscriber that could not be reached is tried again after so many seconds:
+# Seconds after which a subscriber that could not be reached is tried again:
 IceStorm.Discard.Interval=1
 # As in every process of Axon, in KiB:
 Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
@@ -165,42 +165,42 @@ def glacier2(plan, name, instance, whom, servers):
         return f"{identity}:" + ":".join(tcp(plan, server_name, "router") for server_name in servers)
     server_kind = "front-end" if whom == "clients" else "entity"
     return f"""\
-# Glacier2, the router that {whom} meet:  glacier2router --Ice.Config=THIS FILE
-# The first half of its name: {whom} are told {instance}/router.
+# Glacier2, the router to which {whom} connect:  glacier2router --Ice.Config=THIS FILE
+# The first part of its name; {whom} use {instance}/router:
 Glacier2.InstanceName={instance}
 # Where {whom} connect. The only port of this file that a firewall has to let in:
 Glacier2.Client.Endpoints={public(plan, name, whom)}
-# Where the {server_kind} servers send what is for {whom}; internal:
+# Where the {server_kind} servers send messages for {whom}; internal:
 Glacier2.Server.Endpoints={tcp(plan, name, "callbacks")}
-# Who checks passwords, and who makes sessions: the {server_kind} servers, whichever is there.
+# The {server_kind} servers, which verify passwords and make sessions; one that is running is chosen:
 Glacier2.PermissionsVerifier={proxies("PermissionsVerifier")}
 Glacier2.SessionManager={proxies("SessionManager")}
-# Another one each time, so that sessions are spread over them:
+# Choose another server each time, so that the sessions are spread over them:
 Glacier2.PermissionsVerifier.ConnectionCached=0
 Glacier2.SessionManager.ConnectionCached=0
-{router_tls(plan, proxies) if plan.tls else ""}# What is behind the router is out of reach but for the session's own object:
+{router_tls(plan, proxies) if plan.tls else ""}# A client of the router can call its own session and nothing else:
 Glacier2.Filter.Identity.Accept={instance}/none
-# A session whose owner is silent for so many seconds ends. The servers' watchdogs are much faster:
+# Seconds of silence after which a session ends. The servers' watchdogs are much faster:
 Glacier2.SessionTimeout=2
 Glacier2.Client.ACM.Timeout=1
 Glacier2.Client.ACM.Heartbeat=0
 Glacier2.Client.ACM.Close=4
-# Each message is passed on at once, by the thread that read it:
+# The thread that reads a message also passes it on, at once:
 Glacier2.Client.Buffered=0
 Glacier2.Server.Buffered=0
-# The servers get the requests' contexts (a display name, the token that joins the two lanes):
+# Pass on the contexts of requests (a display name, the token that joins the two lanes):
 Glacier2.Client.ForwardContext=1
 Glacier2.Server.ForwardContext=1
-# A line for each session that begins and ends:
+# Log each session that begins or ends:
 Glacier2.Trace.Session=1
-# Several threads, and what comes over one connection goes on in its order:
+# Several threads, which keep the messages of each connection in order:
 Ice.ThreadPool.Client.Size=4
 Ice.ThreadPool.Client.SizeMax=16
 Ice.ThreadPool.Client.Serialize=1
 Ice.ThreadPool.Server.Size=4
 Ice.ThreadPool.Server.SizeMax=16
 Ice.ThreadPool.Server.Serialize=1
-# The connections to the servers live as long as their sessions; a server that is not there is given up after 2 s:
+# The connections to the servers last as long as their sessions; a server that does not answer is given up after 2 s:
 Ice.ACM.Client.Close=0
 Ice.ACM.Client.Heartbeat=3
 Ice.Override.ConnectTimeout=2000
@@ -218,32 +218,32 @@ def server(plan, name, adapter, neighbours):
                     for peer in neighbours if peer != name)
     return f"""\
 # {'A front-end' if front_end else 'An entity'} server:  axon-server --role {'front-end' if front_end else 'entity'} --config THIS FILE
-# Its name among the servers; the first half of its sessions' tokens:
+# The name of this server; the tokens of its sessions begin with it:
 Server.Name={name}
-# Where {whom} connect that come directly, without a router: data and signal lane.
+# Where {whom} connect without a router: data and signal lane.
 {adapter}.Endpoints={tcp(plan, name, "data")}
 {adapter}Signal.Endpoints={tcp(plan, name, "signal")}
-# Where the router for {whom} comes; only the router may:
+# Where the router for {whom} connects; nobody else may:
 {adapter}Router.Endpoints={tcp(plan, name, "router")}
-# Where IceStorm brings what the others publish, and where these send signals directly. Loopback only: a server is believed
-# without a password.
+# Where IceStorm delivers what the other servers publish, and where they send signals directly. Loopback only, because
+# servers believe each other without a password.
 {adapter}Topic.Endpoints={tcp(plan, name, "topics")}
 {adapter}TopicSignal.Endpoints={tcp(plan, name, "servers")}
-# Where the topics are:
+# The topic manager of IceStorm:
 Server.TopicManager=IceStorm/TopicManager:{tcp(plan, "icestorm", "topics")}
 # Who may log in:
 Server.Users={plan.folder}/users.cfg
-""" + (f"# Where the global services lie (docs/reference/profiles.md); all front-end servers offer the same:\n"
+""" + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
        f"Server.GlobalServices={plan.folder}/globalservices\n" if front_end else "") + (
-        f"# The other servers of its kind: both lanes of a session are at one of them.\n{peers}" if peers else "")
+        f"# The other servers of its kind, to which requests for their sessions are passed on:\n{peers}" if peers else "")
 
 
 def client(plan, password):
     return f"""\
-# A client:  axon --config THIS FILE ls   or once and for all:  export AXON_CONFIG=THIS FILE
-# The router is all that a client is told:
+# A client:  axon --config THIS FILE ls   or for a whole shell:  export AXON_CONFIG=THIS FILE
+# The router, the only program that a client has to know:
 Ice.Default.Router=Axon.Clients/router:{public(plan, "client-router", "clients")}
-# Who it is; without the password the command asks for it:
+# The user who logs in; without Axon.Password the command asks for it:
 Axon.User={ADMIN}
 Axon.Password={password}
 {tls(plan, f"client-{ADMIN}") if plan.tls else ""}"""
@@ -252,7 +252,7 @@ Axon.Password={password}
 def entity_manager(plan, password):
     return f"""\
 # An Entity Manager:  axon-entity-manager --config THIS FILE --application NAME
-# The router is all that an Entity Manager is told:
+# The router, the only program that an Entity Manager has to know:
 Ice.Default.Router=Axon.Entities/router:{public(plan, "entity-router", "entities")}
 Axon.User={ENTITY}
 Axon.Password={password}

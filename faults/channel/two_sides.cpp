@@ -47,7 +47,6 @@ void becomeRoot() {
 class Configuration {
   public:
     Configuration() : fd_(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {}
-    ~Configuration() { ::close(fd_); }
     void up(const char* device) const {
         auto request = requestFor(device);
         request.ifr_flags = IFF_UP | IFF_RUNNING;
@@ -74,29 +73,30 @@ class Configuration {
         return request;
     }
     void set(unsigned long what, ifreq& request, const char* name) const {
-        require(::ioctl(fd_, what, &request) == 0, name, "run it as root, or with CAP_NET_ADMIN");
+        require(::ioctl(fd_.get(), what, &request) == 0, name, "run it as root, or with CAP_NET_ADMIN");
     }
-    const int fd_;
+    const Descriptor fd_;
 };
 
 /// The calling thread is in the new namespace afterwards.
-std::pair<int, int> makeSide(const char* here, const char* there) {
+std::pair<Descriptor, Descriptor> makeSide(const char* here, const char* there) {
     require(::unshare(CLONE_NEWNET) == 0, "a network namespace", "run it as root, or with CAP_SYS_ADMIN");
-    const int tun = ::open("/dev/net/tun", O_RDWR | O_CLOEXEC | O_NONBLOCK);
-    require(tun >= 0, "/dev/net/tun", "load the kernel's module tun, and permit the device");
+    Descriptor tun(::open("/dev/net/tun", O_RDWR | O_CLOEXEC | O_NONBLOCK));
+    require(tun.open(), "/dev/net/tun", "load the kernel's module tun, and permit the device");
     ifreq request{};
     std::strncpy(request.ifr_name, "radio0", IFNAMSIZ - 1);
     request.ifr_flags = IFF_TUN | IFF_NO_PI;
-    require(::ioctl(tun, TUNSETIFF, &request) == 0, "a TUN device", "run it as root, or with CAP_NET_ADMIN");
+    require(::ioctl(tun.get(), TUNSETIFF, &request) == 0, "a TUN device",
+            "run it as root, or with CAP_NET_ADMIN");
     const Configuration configuration;
     configuration.up("lo");
     configuration.address("radio0", SIOCSIFADDR, here);
     configuration.address("radio0", SIOCSIFDSTADDR, there);
     configuration.mtu("radio0");
     configuration.up("radio0");
-    const int space = ::open("/proc/thread-self/ns/net", O_RDONLY | O_CLOEXEC);
-    require(space >= 0, "/proc/thread-self/ns/net", "mount /proc");
-    return {space, tun};
+    Descriptor space(::open("/proc/thread-self/ns/net", O_RDONLY | O_CLOEXEC));
+    require(space.open(), "/proc/thread-self/ns/net", "mount /proc");
+    return {std::move(space), std::move(tun)};
 }
 
 }  // namespace
@@ -110,15 +110,12 @@ class TwoSides::Carrier {
                  Lane{right, left, Channel(settings, seed + 2, outages_), {}}},
           wake_(::eventfd(0, EFD_CLOEXEC)),
           thread_([this] { run(); }) {}
-    ~Carrier() {
-        finish();
-        ::close(wake_);
-    }
+    ~Carrier() { finish(); }
     Report finish() {
         if (thread_.joinable()) {
             ending_ = true;
             const std::uint64_t one = 1;
-            (void)!::write(wake_, &one, sizeof one);
+            (void)!::write(wake_.get(), &one, sizeof one);
             thread_.join();
         }
         return {lanes_[0].channel.counters(), lanes_[1].channel.counters(), outages_.count()};
@@ -151,7 +148,7 @@ class TwoSides::Carrier {
                 next == TimePoint::max() ? Duration(1s) : std::max<Duration>(next - clock.now(), 0ns);
             const timespec time{wait / 1s, static_cast<long>((wait % 1s).count())};
             std::array<pollfd, 3> waiting{
-                {{wake_, POLLIN, 0}, {lanes_[0].from, POLLIN, 0}, {lanes_[1].from, POLLIN, 0}}};
+                {{wake_.get(), POLLIN, 0}, {lanes_[0].from, POLLIN, 0}, {lanes_[1].from, POLLIN, 0}}};
             ::ppoll(waiting.data(), waiting.size(), &time, nullptr);
             for (auto& lane : lanes_) take(lane, clock);
         }
@@ -176,7 +173,7 @@ class TwoSides::Carrier {
 
     Outages outages_;
     std::array<Lane, 2> lanes_;
-    const int wake_;
+    const Descriptor wake_;
     std::atomic<bool> ending_{false};
     std::thread thread_;
 };
@@ -185,18 +182,14 @@ TwoSides::TwoSides(const ChannelSettings& settings, std::uint64_t seed) {
     becomeRoot();
     std::tie(namespaces_[0], tuns_[0]) = makeSide(kLeft, kRight);
     std::tie(namespaces_[1], tuns_[1]) = makeSide(kRight, kLeft);
-    carrier_ = std::make_unique<Carrier>(settings, seed, tuns_[0], tuns_[1]);
+    carrier_ = std::make_unique<Carrier>(settings, seed, tuns_[0].get(), tuns_[1].get());
 }
 
-TwoSides::~TwoSides() {
-    carrier_.reset();
-    for (const int fd : {namespaces_[0], namespaces_[1], tuns_[0], tuns_[1]})
-        if (fd >= 0) ::close(fd);
-}
+TwoSides::~TwoSides() = default;
 
 void TwoSides::enter(Side side) const {
-    require(::setns(namespaces_[static_cast<int>(side)], CLONE_NEWNET) == 0, "entering a network namespace",
-            "run it as root, or with CAP_SYS_ADMIN");
+    require(::setns(namespaces_[static_cast<int>(side)].get(), CLONE_NEWNET) == 0,
+            "entering a network namespace", "run it as root, or with CAP_SYS_ADMIN");
 }
 
 pid_t TwoSides::start(Side side, const std::string& command) const {
@@ -206,7 +199,7 @@ pid_t TwoSides::start(Side side, const std::string& command) const {
     ::setpgid(0, 0);
     ::setenv("AXON_CHANNEL_HERE", left ? kLeft : kRight, 1);
     ::setenv("AXON_CHANNEL_THERE", left ? kRight : kLeft, 1);
-    if (::setns(namespaces_[static_cast<int>(side)], CLONE_NEWNET) == 0)
+    if (::setns(namespaces_[static_cast<int>(side)].get(), CLONE_NEWNET) == 0)
         ::execl("/bin/sh", "sh", "-c", command.c_str(), static_cast<char*>(nullptr));
     ::_exit(126);
 }

@@ -11,6 +11,7 @@
 #include <tuple>
 
 #include "channel/channel.hpp"
+#include "common/descriptor.hpp"
 
 namespace axon::faults {
 
@@ -54,8 +55,8 @@ class TwoSides {
 
   private:
     class Carrier;
-    int namespaces_[2] = {-1, -1};
-    int tuns_[2] = {-1, -1};
+    Descriptor namespaces_[2];
+    Descriptor tuns_[2];
     std::unique_ptr<Carrier> carrier_;
 };
 

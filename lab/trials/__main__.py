@@ -37,8 +37,8 @@ scheduling is the machine's, so that a seed gives the same task and not the same
 succeeded is said by ground truth, never by the robots. Of a seed
 that failed the logs, the truth (truth.jsonl) and a picture with the ways driven stay in the folder that is named.
 
-Exit status: 0 what is promised was kept ({promised}; every seed of the others), 1 it was not, or Ctrl-C came, 2 it could not
-be run. docs/how-to/try-the-robots.md tells more."""
+Exit status: 0 enough seeds succeeded ({promised}; every seed of the others); 1 not enough, or Ctrl-C; 2 it could not
+be run. docs/how-to/try-the-robots.md explains the scenarios."""
 
 
 def seeds(text):
@@ -67,7 +67,7 @@ def parse(arguments):
     parser = argparse.ArgumentParser(
         prog="axon-lab-trials", description="Tries the robots in the virtual laboratory over many seeds, judged by ground truth.",
         epilog=EPILOG.format(scenarios=told, promised=promised), formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenario", choices=[*SCENARIOS, "all"], default="transport", metavar="NAME", help="scenario to play (transport); listed below")
+    parser.add_argument("--scenario", choices=[*SCENARIOS, "all"], default="transport", metavar="NAME", help="scenario to play, from the list below (transport)")
     parser.add_argument("--seeds", type=seeds, default=range(1, 21), metavar="A..B", help="seeds to play (1..20)")
     parser.add_argument("--jobs", type=positive(int), default=1, metavar="N", help="number of laboratories at once (1); each needs two thirds of a core")
     parser.add_argument("--speed", type=positive(float), default=1.0, metavar="N",

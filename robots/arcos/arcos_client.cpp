@@ -7,13 +7,14 @@
 #include <optional>
 #include <utility>
 
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 namespace axon::arcos {
 
-class ArcosClient::Worker final : public ClientSession::Port, public StreamThread::Session {
+class ArcosClient::Worker final : public ClientSession::Port, public robots::StreamThread::Session {
   public:
-    Worker(StreamOpener open, Callbacks callbacks, Duration silence_limit, std::shared_ptr<const Clock> clock)
+    Worker(robots::StreamOpener open, Callbacks callbacks, Duration silence_limit,
+           std::shared_ptr<const Clock> clock)
         : callbacks_(std::move(callbacks)),
           session_(*this, silence_limit),
           stream_(std::move(open), *this, "the robot", std::move(clock)) {}
@@ -99,10 +100,10 @@ class ArcosClient::Worker final : public ClientSession::Port, public StreamThrea
     std::mutex scan_mutex_;
     std::optional<LaserScan> scan_;  // guarded by scan_mutex_: the newest that the session has not got yet
 
-    StreamThread stream_;  // last: its thread uses all of the above
+    robots::StreamThread stream_;  // last: its thread uses all of the above
 };
 
-ArcosClient::ArcosClient(StreamOpener open, Callbacks callbacks, Duration silence_limit,
+ArcosClient::ArcosClient(robots::StreamOpener open, Callbacks callbacks, Duration silence_limit,
                          std::shared_ptr<const Clock> clock)
     : worker_(
           std::make_unique<Worker>(std::move(open), std::move(callbacks), silence_limit, std::move(clock))) {}

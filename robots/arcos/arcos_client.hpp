@@ -5,8 +5,8 @@
 #include <string>
 #include <string_view>
 
-#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/client_session.hpp"
+#include "robots/common/byte_stream.hpp"
 
 namespace axon::arcos {
 
@@ -29,7 +29,8 @@ class ArcosClient {
     };
 
     /// `silence_limit`: without a packet for so long, on `clock`, the robot counts as lost.
-    ArcosClient(StreamOpener open, Callbacks callbacks, Duration silence_limit = ClientSession::kSilenceLimit,
+    ArcosClient(robots::StreamOpener open, Callbacks callbacks,
+                Duration silence_limit = ClientSession::kSilenceLimit,
                 std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
     ~ArcosClient();
     ArcosClient(const ArcosClient&) = delete;

@@ -39,7 +39,7 @@ bool LaserScan::sees() const {
                        [](std::uint16_t range) { return range > 0 && range < LaserPacket::kNothing_mm; });
 }
 
-void ClientSession::begin(TimePoint now, const LineSpeed& line) {
+void ClientSession::begin(TimePoint now, const robots::LineSpeed& line) {
     state_ = State::Synchronising;
     reader_.reset();
     identity_ = {};
@@ -55,7 +55,7 @@ void ClientSession::begin(TimePoint now, const LineSpeed& line) {
     if (line_.asked == 0) line_.asked = kRaisedSpeed;
     speeds_.clear();
     if (line_.baud != 0) {
-        for (const int baud : {line_.baud, kFirstSpeed, kRaisedSpeed})
+        for (const int baud : {line_.baud, robots::kFirstSpeed, kRaisedSpeed})
             if (std::find(speeds_.begin(), speeds_.end(), baud) == speeds_.end()) speeds_.push_back(baud);
     }
     speed_ = 0;

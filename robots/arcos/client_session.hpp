@@ -6,11 +6,11 @@
 #include <string>
 #include <vector>
 
-#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/gripper.hpp"
 #include "robots/arcos/laser.hpp"
 #include "robots/arcos/pose_history.hpp"
 #include "robots/arcos/server_information.hpp"
+#include "robots/common/byte_stream.hpp"
 
 namespace axon::arcos {
 
@@ -157,7 +157,7 @@ class ClientSession {
         : port_(port), silence_limit_(silence_limit) {}
 
     /// There is a link, whose speed this is: start shaking hands.
-    void begin(TimePoint now, const LineSpeed& line = {});
+    void begin(TimePoint now, const robots::LineSpeed& line = {});
     /// The link is gone; onLost(reason) unless the session was closed already.
     void end(const std::string& reason);
     void receive(std::span<const std::uint8_t> bytes, TimePoint now);
@@ -197,7 +197,7 @@ class ClientSession {
     RobotIdentity identity_;
     RobotState robot_;
     LaserScanAssembler laser_;
-    LineSpeed line_;
+    robots::LineSpeed line_;
     std::vector<int> speeds_;  // at which the robot is looked for; none where the link has none
     std::size_t speed_ = 0;    // which of them
     std::optional<TimePoint> speed_change_due_;  // HOSTBAUD was sent, the line is to follow

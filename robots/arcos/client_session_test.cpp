@@ -40,7 +40,7 @@ class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
             session_.tick(clock_.now());
         }
     }
-    void shakeHands(const LineSpeed& line = {}) {
+    void shakeHands(const robots::LineSpeed& line = {}) {
         line_speed_ = line.baud;
         session_.begin(clock_.now(), line);
         echoSyncs();

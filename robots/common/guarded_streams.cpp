@@ -10,9 +10,9 @@ namespace {
 
 constexpr int kDrain = 64;  // reads, of a device that does not stop sending
 
-class GuardedStream final : public arcos::ByteStream {
+class GuardedStream final : public ByteStream {
   public:
-    GuardedStream(std::unique_ptr<arcos::ByteStream> stream, std::shared_ptr<DeviceGuard> guard,
+    GuardedStream(std::unique_ptr<ByteStream> stream, std::shared_ptr<DeviceGuard> guard,
                   const std::string& stop)
         : stream_(std::move(stream)), guard_(std::move(guard)), stop_(stop.begin(), stop.end()) {}
     ~GuardedStream() override {
@@ -42,11 +42,11 @@ class GuardedStream final : public arcos::ByteStream {
         failed_ = !stream_->write(bytes);
         return !failed_;
     }
-    arcos::LineSpeed speed() const override { return stream_->speed(); }
+    LineSpeed speed() const override { return stream_->speed(); }
     bool setSpeed(int baud) override { return stream_->setSpeed(baud); }
 
   private:
-    const std::unique_ptr<arcos::ByteStream> stream_;
+    const std::unique_ptr<ByteStream> stream_;
     const std::shared_ptr<DeviceGuard> guard_;
     const std::vector<std::uint8_t> stop_;
     std::mutex writing_;     // read() writes as well; held for one write, which does not wait
@@ -56,11 +56,11 @@ class GuardedStream final : public arcos::ByteStream {
 
 }  // namespace
 
-arcos::StreamOpener guardedStreams(arcos::StreamOpener open, DeviceGuard::Options options) {
+StreamOpener guardedStreams(StreamOpener open, DeviceGuard::Options options) {
     auto stop = options.stop;
     auto guard = std::make_shared<DeviceGuard>(std::move(options));
     return [open = std::move(open), guard = std::move(guard),
-            stop = std::move(stop)](Duration timeout) -> Result<std::unique_ptr<arcos::ByteStream>> {
+            stop = std::move(stop)](Duration timeout) -> Result<std::unique_ptr<ByteStream>> {
         auto opened = open(timeout);
         if (!opened) return opened;
         auto stream = std::move(opened).value();
@@ -68,8 +68,7 @@ arcos::StreamOpener guardedStreams(arcos::StreamOpener open, DeviceGuard::Option
             return Refusal{RefusalCode::Overloaded,
                            "the robot is not driven without its guard, and that cannot be started",
                            {}};
-        return std::unique_ptr<arcos::ByteStream>(
-            std::make_unique<GuardedStream>(std::move(stream), guard, stop));
+        return std::unique_ptr<ByteStream>(std::make_unique<GuardedStream>(std::move(stream), guard, stop));
     };
 }
 

@@ -3,7 +3,7 @@
 #include <string>
 
 #include "entity_interfacer/axon/device_guard.hpp"
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 
 /// What the robot applications have in common.
 namespace axon::robots {
@@ -17,6 +17,6 @@ namespace axon::robots {
 /// more; the next link is guarded again. A serial line may change its speed; the guard writes at that of the
 /// moment, and for 0.3 s after this process was killed nobody else can open the line. Without a guard no link
 /// is opened. One link at a time. Throws as DeviceGuard does.
-arcos::StreamOpener guardedStreams(arcos::StreamOpener open, DeviceGuard::Options options);
+StreamOpener guardedStreams(StreamOpener open, DeviceGuard::Options options);
 
 }  // namespace axon::robots

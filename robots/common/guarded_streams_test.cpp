@@ -20,7 +20,6 @@ namespace axon::robots {
 namespace {
 
 using namespace std::chrono_literals;
-using arcos::ByteStream;
 using test::waitUntil;
 
 const std::string kStop = "STOP";
@@ -69,7 +68,7 @@ class GuardedStreamsTest : public ::testing::Test {
 
     Descriptor device_;
     std::array<std::uint8_t, 16> bytes_{};
-    arcos::StreamOpener opener_ = guardedStreams(
+    StreamOpener opener_ = guardedStreams(
         [this](Duration /*timeout*/) -> Result<std::unique_ptr<ByteStream>> {
             std::array<int, 2> ends{};
             if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends.data()) != 0)
@@ -116,9 +115,9 @@ TEST(GuardedSerialLineTest, ChangesItsSpeedIsStoppedAtThatAndIsFreeAgainOnceItIs
     std::array<char, 100> path{};
     ASSERT_TRUE(::grantpt(robot.get()) == 0 && ::unlockpt(robot.get()) == 0 &&
                 ::ptsname_r(robot.get(), path.data(), path.size()) == 0);
-    const auto line = arcos::serialStreams(path.data());
+    const auto line = serialStreams(path.data());
     auto stream = guardedStreams(line, {.device = path.data(), .stop = kStop, .silence = 100ms})(1s).value();
-    EXPECT_EQ(stream->speed().baud, arcos::kFirstSpeed);
+    EXPECT_EQ(stream->speed().baud, kFirstSpeed);
     EXPECT_TRUE(stream->setSpeed(38400));
     EXPECT_EQ(stream->speed().baud, 38400);
 

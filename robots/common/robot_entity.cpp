@@ -37,8 +37,8 @@ std::unique_ptr<TemporaryFile> uploadProfiles(EntityInterfacer& entity, const Ro
     return renamed;
 }
 
-arcos::StreamOpener robotLink(const RobotSettings& settings, const std::string& address, std::string stop) {
-    auto open = arcos::robotStreams(address);
+StreamOpener robotLink(const RobotSettings& settings, const std::string& address, std::string stop) {
+    auto open = robotStreams(address);
     if (settings.guard_silence == std::chrono::milliseconds::zero()) return open;
     return guardedStreams(std::move(open),
                           {.device = address, .stop = std::move(stop), .silence = settings.guard_silence});

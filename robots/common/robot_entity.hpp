@@ -4,7 +4,7 @@
 #include <memory>
 #include <string>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 #include "robots/common/robot_settings.hpp"
 
 /// From the settings of a robot application to its two ends: the Entity Interfacer, and the robot's link.
@@ -24,6 +24,6 @@ EntityInterfacer::Options interfacerOptions(const RobotSettings& settings,
 /// The robot's link at `address` (host:port or a serial line), watched by a guard that writes `stop` should
 /// this process freeze or die; unguarded where the settings say so. The rules of guardedStreams() hold.
 /// Throws std::invalid_argument for an address that is none, and as DeviceGuard does.
-arcos::StreamOpener robotLink(const RobotSettings& settings, const std::string& address, std::string stop);
+StreamOpener robotLink(const RobotSettings& settings, const std::string& address, std::string stop);
 
 }  // namespace axon::robots

@@ -10,9 +10,9 @@ namespace axon::robots {
 namespace {
 
 constexpr auto kEnd = R"(
-An Entity Manager that is configured with the same --application links to it. The robot may come and go: its services are
-inactive while it cannot be reached. Ends on Ctrl-C, after stopping the robot.
-Exit status: 0 ended when told to, 2 something is wrong with the options or the profiles.)";
+An Entity Manager that is configured with the same --application links to it. While the robot cannot be reached, its
+services are inactive. On Ctrl-C the program stops the robot and ends.
+Exit status: 0 ended by a signal; 2 the options or the profiles are wrong.)";
 
 }  // namespace
 
@@ -32,7 +32,8 @@ int RobotProgram::run(int argc, const char* const* argv, const std::function<voi
     app_->add_option("--application", settings_.application,
                      "Name that the Entity Manager is configured with")
         ->capture_default_str();
-    app_->add_option("--instance", settings_.instance, "Tells equal applications on one host apart");
+    app_->add_option("--instance", settings_.instance,
+                     "Distinguishes several of these applications on one host");
     app_->add_option("--name", settings_.name, "Name of the entity, instead of the basic profile's");
     app_->add_option("--ports", settings_.ports, "A ports.cfg, or the range to listen in, such as 5500-5600");
     app_->add_option(
@@ -43,9 +44,8 @@ int RobotProgram::run(int argc, const char* const* argv, const std::function<voi
         ->check(CLI::Range(0, 10000));
     app_->add_option("--profiles", settings_.profiles,
                      "Folder with basic_profile.xml and services_profile.xml");
-    app_->add_option(
-        "--resources", settings_.resources,
-        "Folders in which the absolute urls of resources in the services profile may lead; none by default");
+    app_->add_option("--resources", settings_.resources,
+                     "Folders below which resources with an absolute url may be; none by default");
     try {
         app_->parse(argc, argv);
     } catch (const CLI::ParseError& error) {

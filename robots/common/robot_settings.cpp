@@ -11,6 +11,8 @@
 #include <sstream>
 #include <system_error>
 
+#include "common/descriptor.hpp"
+
 namespace axon::robots {
 namespace {
 
@@ -135,10 +137,9 @@ std::string contentOf(const std::filesystem::path& file) {
 
 TemporaryFile::TemporaryFile(const std::string& content) {
     auto pattern = (std::filesystem::temp_directory_path() / "axon-robot-XXXXXX.xml").string();
-    const int fd = ::mkstemps(pattern.data(), 4);
-    if (fd < 0)
+    const Descriptor made(::mkstemps(pattern.data(), 4));
+    if (!made.open())
         throw std::system_error(errno, std::generic_category(), "cannot make a temporary file in " + pattern);
-    ::close(fd);
     path_ = pattern;
     std::ofstream(path_) << content;
 }

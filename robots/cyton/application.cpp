@@ -276,8 +276,7 @@ bool Application::play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg, c
 
 void Application::tellLoss(Task& task) {
     if (task.stopRequested()) return;
-    task.robotLost(
-        "the arm's controller does not answer any more: the arm stands where it was last told to be");
+    task.robotLost("the arm's controller no longer answers: the arm stands where it was last told to be");
 }
 
 void Application::onStop() {

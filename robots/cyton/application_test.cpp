@@ -16,6 +16,7 @@
 #include <map>
 #include <thread>
 
+#include "common/descriptor.hpp"
 #include "lab/cyton/ssc32_server.hpp"
 #include "robots/ssc32/protocol.hpp"
 #include "tests/support/loopback.hpp"
@@ -46,26 +47,23 @@ class Board {
             board_.step(seconds{10});
             silent_about_pulses_ = true;
         }
-        listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
         const int one = 1;
-        ::setsockopt(listener_, SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
+        ::setsockopt(listener_.get(), SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
         sockaddr_in address{};
         address.sin_family = AF_INET;
         address.sin_port = htons(static_cast<std::uint16_t>(port));
         ::inet_pton(AF_INET, test::loopbackAddress().c_str(), &address.sin_addr);
         socklen_t size = sizeof address;
-        if (::bind(listener_, reinterpret_cast<sockaddr*>(&address), size) != 0 ||
-            ::listen(listener_, 4) != 0)
+        if (::bind(listener_.get(), reinterpret_cast<sockaddr*>(&address), size) != 0 ||
+            ::listen(listener_.get(), 4) != 0)
             throw std::runtime_error("cannot listen");
-        ::getsockname(listener_, reinterpret_cast<sockaddr*>(&address), &size);
+        ::getsockname(listener_.get(), reinterpret_cast<sockaddr*>(&address), &size);
         port_ = ntohs(address.sin_port);
         thread_ = std::thread([this] { run(); });
     }
     ~Board() {
         quit_ = true;
         thread_.join();
-        if (client_ >= 0) ::close(client_);
-        ::close(listener_);
     }
     int port() const { return port_; }
     /// rad, and metres that each claw is open.
@@ -106,8 +104,9 @@ class Board {
     void run() {
         auto last = std::chrono::steady_clock::now();
         while (!quit_) {
-            std::array<pollfd, 2> waiting{pollfd{listener_, POLLIN, 0}, pollfd{client_, POLLIN, 0}};
-            ::poll(waiting.data(), client_ < 0 ? 1 : 2, 2);
+            std::array<pollfd, 2> waiting{pollfd{listener_.get(), POLLIN, 0},
+                                          pollfd{client_.get(), POLLIN, 0}};
+            ::poll(waiting.data(), client_.open() ? 2 : 1, 2);
             const auto now = std::chrono::steady_clock::now();
             {
                 const std::lock_guard lock(mutex_);
@@ -116,19 +115,16 @@ class Board {
                 if (board_.targets() != before) changed_ = now;
             }
             last = now;
-            if (client_ < 0 && waiting[0].revents != 0) {
-                client_ = ::accept(listener_, nullptr, nullptr);
+            if (!client_.open() && waiting[0].revents != 0) {
+                client_ = Descriptor(::accept(listener_.get(), nullptr, nullptr));
                 const std::lock_guard lock(mutex_);
                 board_.clientConnected();
                 continue;
             }
-            if (client_ < 0) continue;
+            if (!client_.open()) continue;
             std::array<std::uint8_t, 1024> chunk;
-            const auto got = ::recv(client_, chunk.data(), chunk.size(), MSG_DONTWAIT);
-            if (got == 0) {
-                ::close(client_);
-                client_ = -1;
-            }
+            const auto got = ::recv(client_.get(), chunk.data(), chunk.size(), MSG_DONTWAIT);
+            if (got == 0) client_.reset();
             if (got <= 0) continue;
             std::vector<std::uint8_t> answers;
             {
@@ -138,12 +134,13 @@ class Board {
                     answers.insert(answers.end(), more.begin(), more.end());
                 }
             }
-            if (!answers.empty() && !silent_) ::send(client_, answers.data(), answers.size(), MSG_NOSIGNAL);
+            if (!answers.empty() && !silent_)
+                ::send(client_.get(), answers.data(), answers.size(), MSG_NOSIGNAL);
         }
     }
 
-    int listener_ = -1;
-    int client_ = -1;
+    const Descriptor listener_{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
+    Descriptor client_;
     int port_ = 0;
     std::mutex mutex_;
     lab::Ssc32Server board_;  // these four guarded by mutex_

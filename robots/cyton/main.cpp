@@ -16,10 +16,11 @@ Connecting moves nothing; at the end of the program the arm stays where it is.)"
 int main(int argc, char** argv) {
     axon::cyton::Settings settings;
     std::string at;
-    axon::robots::RobotProgram program(settings,
-                                       "A Cyton Alpha as an entity of Axon: an arm on an SSC-32; offers "
-                                       "Reach Demo, Control, Grab and Place.",
-                                       kExamples);
+    axon::robots::RobotProgram program(
+        settings,
+        "A Cyton Alpha as an entity of Axon: an arm with an SSC-32 controller. "
+        "It offers Reach Demo, Control, and Grab and Place.",
+        kExamples);
     program.option("--arm", settings.arm, "The arm's SSC-32: host:port, or a serial device with its speed");
     program.option("--at", at, "Where the arm's base stands: X,Y,Z in mm");
     return program.run(argc, argv, [&] {

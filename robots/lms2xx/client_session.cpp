@@ -18,7 +18,7 @@ constexpr std::array<Speed, 3> kSpeeds{
 
 }  // namespace
 
-void ClientSession::begin(TimePoint now, const arcos::LineSpeed& line) {
+void ClientSession::begin(TimePoint now, const robots::LineSpeed& line) {
     state_ = State::Finding;
     reader_.reset();
     setting_ = {};

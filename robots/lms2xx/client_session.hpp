@@ -3,7 +3,7 @@
 #include <functional>
 #include <string>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 #include "robots/lms2xx/scan.hpp"
 
 namespace axon::lms2xx {
@@ -73,7 +73,7 @@ class ClientSession {
         : port_(port), silence_limit_(silence_limit) {}
 
     /// There is a link, whose speed this is.
-    void begin(TimePoint now, const arcos::LineSpeed& line);
+    void begin(TimePoint now, const robots::LineSpeed& line);
     void receive(std::span<const std::uint8_t> bytes, TimePoint now);
     /// At least every 50 ms.
     void tick(TimePoint now);
@@ -99,7 +99,7 @@ class ClientSession {
     const Duration silence_limit_;
     State state_ = State::Closed;
     TelegramReader reader_{TelegramReader::From::Laser};
-    arcos::LineSpeed line_;
+    robots::LineSpeed line_;
     std::vector<int> speeds_;  // at which the laser is looked for; none where the link has none
     int searches_ = 0;
     Step step_ = Step::EndOutput;

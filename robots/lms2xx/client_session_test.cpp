@@ -29,7 +29,7 @@ class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
         return true;
     }
 
-    void begin(const arcos::LineSpeed& line = {}) {
+    void begin(const robots::LineSpeed& line = {}) {
         line_speed_ = line.baud;
         session_.begin(clock_.now(), line);
     }
@@ -58,7 +58,7 @@ class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
             measured.values.push_back(static_cast<std::uint16_t>(1000 + i));
         answer(toAnswer(measured));
     }
-    void setUp(const arcos::LineSpeed& line = {}) {
+    void setUp(const robots::LineSpeed& line = {}) {
         begin(line);
         while (session_.state() != ClientSession::State::Scanning && lost_.empty()) answerLast();
     }

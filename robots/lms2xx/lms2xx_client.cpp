@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "robots/lms2xx/lms2xx_client.hpp"
 
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 namespace axon::lms2xx {
 
-class Lms2xxClient::Worker final : public ClientSession::Port, public arcos::StreamThread::Session {
+class Lms2xxClient::Worker final : public ClientSession::Port, public robots::StreamThread::Session {
   public:
-    Worker(arcos::StreamOpener open, Callbacks callbacks, Duration silence_limit,
+    Worker(robots::StreamOpener open, Callbacks callbacks, Duration silence_limit,
            std::shared_ptr<const Clock> clock)
         : callbacks_(std::move(callbacks)),
           session_(*this, silence_limit),
@@ -44,11 +44,11 @@ class Lms2xxClient::Worker final : public ClientSession::Port, public arcos::Str
 
   private:
     const Callbacks callbacks_;
-    ClientSession session_;       // confined to the stream's thread
-    arcos::StreamThread stream_;  // last: its thread uses all of the above
+    ClientSession session_;        // confined to the stream's thread
+    robots::StreamThread stream_;  // last: its thread uses all of the above
 };
 
-Lms2xxClient::Lms2xxClient(arcos::StreamOpener open, Callbacks callbacks, Duration silence_limit,
+Lms2xxClient::Lms2xxClient(robots::StreamOpener open, Callbacks callbacks, Duration silence_limit,
                            std::shared_ptr<const Clock> clock)
     : worker_(
           std::make_unique<Worker>(std::move(open), std::move(callbacks), silence_limit, std::move(clock))) {}

@@ -23,7 +23,7 @@ class Lms2xxClient {
     };
 
     /// `silence_limit`: without a scan for so long, on `clock`, the laser counts as lost.
-    Lms2xxClient(arcos::StreamOpener open, Callbacks callbacks,
+    Lms2xxClient(robots::StreamOpener open, Callbacks callbacks,
                  Duration silence_limit = ClientSession::kSilenceLimit,
                  std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
     ~Lms2xxClient();

@@ -138,7 +138,7 @@ Application::Application(const Settings& settings, std::shared_ptr<const Clock> 
         settings.robot_silence_limit, clock_);
     if (!settings.laser.empty()) {
         laser_ = std::make_unique<lms2xx::Lms2xxClient>(
-            arcos::robotStreams(settings.laser),
+            robots::robotStreams(settings.laser),
             lms2xx::Lms2xxClient::Callbacks{
                 .on_online = [this](const lms2xx::Setting& setting) { onLaserOnline(setting); },
                 .on_scan = [this](const lms2xx::Scan& scan) { onLaserScan(scan); },

@@ -371,7 +371,7 @@ class SerialLinesTest : public ApplicationTest {
     }
     /// The experimenter's hands: requests of lab/control.hpp, a line each.
     void control(const std::vector<std::string>& requests) const {
-        auto line = std::move(arcos::tcpStreams(lab_->address("control"))(std::chrono::seconds{5})).value();
+        auto line = std::move(robots::tcpStreams(lab_->address("control"))(std::chrono::seconds{5})).value();
         std::string all;
         for (const auto& request : requests) all += request + "\n";
         ASSERT_TRUE(line->write({reinterpret_cast<const std::uint8_t*>(all.data()), all.size()}));

@@ -24,7 +24,7 @@ constexpr int kLook_ms = 50;  // how long the end of the program may have to wai
 class CameraClient::Worker {
   public:
     Worker(const std::string& address, Callbacks callbacks, bool wanted, std::shared_ptr<const Clock> clock)
-        : open_(arcos::tcpStreams(address)),
+        : open_(robots::tcpStreams(address)),
           address_(address),
           callbacks_(std::move(callbacks)),
           clock_(std::move(clock)),
@@ -78,7 +78,7 @@ class CameraClient::Worker {
     }
 
     /// One connection; why it ended.
-    std::string attend(arcos::ByteStream& stream) {
+    std::string attend(robots::ByteStream& stream) {
         const std::string request =
             "GET /raw HTTP/1.1\r\nHost: " + address_ + "\r\nConnection: close\r\n\r\n";
         if (!stream.write({reinterpret_cast<const std::uint8_t*>(request.data()), request.size()}))
@@ -117,7 +117,7 @@ class CameraClient::Worker {
     }
 
     // Constant after construction.
-    const arcos::StreamOpener open_;
+    const robots::StreamOpener open_;
     const std::string address_;
     const Callbacks callbacks_;
     const std::shared_ptr<const Clock> clock_;

@@ -4,7 +4,7 @@
 #include <memory>
 #include <string>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 #include "robots/peoplebot/camera_picture.hpp"
 
 namespace axon::peoplebot {

@@ -8,6 +8,7 @@
 #include <atomic>
 #include <thread>
 
+#include "common/descriptor.hpp"
 #include "robots/peoplebot/camera_client.hpp"
 #include "robots/peoplebot/camera_picture.hpp"
 #include "tests/support/loopback.hpp"
@@ -94,21 +95,19 @@ TEST(Thumbnail, IsAveragedToTheSizeAskedForAndAJpeg) {
 class CameraServer {
   public:
     explicit CameraServer(std::string answer) : answer_(std::move(answer)) {
-        listener_ = ::socket(AF_INET, SOCK_STREAM, 0);
         sockaddr_in where{};
         where.sin_family = AF_INET;
         ::inet_pton(AF_INET, test::loopbackAddress().c_str(), &where.sin_addr);
-        ::bind(listener_, reinterpret_cast<sockaddr*>(&where), sizeof where);
-        ::listen(listener_, 4);
+        ::bind(listener_.get(), reinterpret_cast<sockaddr*>(&where), sizeof where);
+        ::listen(listener_.get(), 4);
         socklen_t size = sizeof where;
-        ::getsockname(listener_, reinterpret_cast<sockaddr*>(&where), &size);
+        ::getsockname(listener_.get(), reinterpret_cast<sockaddr*>(&where), &size);
         port_ = ntohs(where.sin_port);
         thread_ = std::thread([this] { serve(); });
     }
     ~CameraServer() {
-        ::shutdown(listener_, SHUT_RDWR);
+        ::shutdown(listener_.get(), SHUT_RDWR);
         thread_.join();
-        ::close(listener_);
     }
     std::string address() const { return test::loopbackAddress() + ":" + std::to_string(port_); }
     int connections() const { return connections_; }
@@ -116,8 +115,9 @@ class CameraServer {
   private:
     void serve() {
         while (true) {
-            const int client = ::accept(listener_, nullptr, nullptr);
-            if (client < 0) return;
+            const Descriptor accepted(::accept(listener_.get(), nullptr, nullptr));
+            if (!accepted.open()) return;
+            const int client = accepted.get();
             ++connections_;
             std::string request;
             std::array<char, 500> chunk{};
@@ -131,12 +131,11 @@ class CameraServer {
             ::shutdown(client, SHUT_WR);
             while (::recv(client, chunk.data(), chunk.size(), 0) > 0) {
             }
-            ::close(client);
         }
     }
 
     const std::string answer_;
-    int listener_ = -1;
+    const Descriptor listener_{::socket(AF_INET, SOCK_STREAM, 0)};
     int port_ = 0;
     std::atomic<int> connections_ = 0;
     std::thread thread_;

@@ -9,7 +9,6 @@
 
 #include "robots/peoplebot/drive_gate.hpp"
 #include "robots/peoplebot/map_pose.hpp"
-#include "robots/peoplebot/settings.hpp"
 
 namespace axon::peoplebot {
 namespace {
@@ -424,19 +423,6 @@ TEST(MapPose, OdometryStartsWhereTheRobotStands) {
     EXPECT_NEAR(pose.x_mm, 900, 1e-9);
     EXPECT_NEAR(pose.y_mm, 2500, 1e-9);
     EXPECT_EQ(pose.heading_deg, 100);
-}
-
-TEST(PeopleBotSettings, APoseIsReadAndMistakesAreNamed) {
-    EXPECT_EQ(parsePose("1500,-2,90.5").heading_deg, 90.5);
-    for (const char* text : {"", "1", "1,2", "1,2,3,4", "1,2,x", "nan,0,0"})
-        EXPECT_THROW(parsePose(text), BadSetting) << text;
-}
-
-TEST(PeopleBotSettings, RulesOfTheProfilesFolderComeBeforeTheInstalledOnes) {
-    Settings settings;
-    settings.profiles = "robots/peoplebot";
-    EXPECT_EQ(rulesFile(settings, "wander.rules"), "robots/peoplebot/wander.rules");
-    EXPECT_THROW(rulesFile(settings, "nobody.rules"), BadSetting);
 }
 
 }  // namespace

@@ -35,7 +35,7 @@ class GraspTrial : public arcos::ClientSession::Port {
               },
               lab::Laboratory::Options{.seed = seed, .noise = 1}),
           cameras_(lab_.physics(), 1, {}) {
-        lab_.clientConnected(0);
+        lab_.robot(0).clientConnected();
         session_.begin(lab_.now());
         run(2.0);
         order(Command::SetA, 300);
@@ -44,7 +44,7 @@ class GraspTrial : public arcos::ClientSession::Port {
         order(Command::SetRa, -100);
         order(Command::Enable, 1);
         for (const auto& text : {vcc4::power(true), vcc4::control(), vcc4::fullTiltRange()}) {
-            lab_.receive(0, arcos::encodeCommand(Command::Tty2, text));
+            lab_.robot(0).receive(arcos::encodeCommand(Command::Tty2, text));
             run(0.3);
         }
     }
@@ -79,7 +79,8 @@ class GraspTrial : public arcos::ClientSession::Port {
                            truth.x_m, truth.y_m, truth.theta_deg);
             }
             apply(step.gripper);
-            if (step.look) lab_.receive(0, arcos::encodeCommand(Command::Tty2, vcc4::panTilt(*step.look)));
+            if (step.look)
+                lab_.robot(0).receive(arcos::encodeCommand(Command::Tty2, vcc4::panTilt(*step.look)));
             drive(step);
         }
         halt();
@@ -109,7 +110,7 @@ class GraspTrial : public arcos::ClientSession::Port {
         return step;
     }
 
-    void send(const arcos::Bytes& bytes) override { lab_.receive(0, bytes); }
+    void send(const arcos::Bytes& bytes) override { lab_.robot(0).receive(bytes); }
     void onOnline(const arcos::RobotIdentity& /*identity*/) override {}
     void onState(const arcos::RobotState& /*state*/) override { fresh_ = true; }
     void onLost(const std::string& reason) override {
@@ -124,7 +125,9 @@ class GraspTrial : public arcos::ClientSession::Port {
     static bool verbose() { return std::getenv("AXON_GRASP_SEEDS") != nullptr; }
 
   private:
-    void order(Command command, int argument) { lab_.receive(0, arcos::encodeCommand(command, argument)); }
+    void order(Command command, int argument) {
+        lab_.robot(0).receive(arcos::encodeCommand(command, argument));
+    }
     void apply(const std::vector<GripperCommand>& commands) {
         for (const auto& command : commands) {
             order(Command::Gripper, static_cast<int>(command.order));
@@ -136,7 +139,7 @@ class GraspTrial : public arcos::ClientSession::Port {
         order(Command::RVel, static_cast<int>(std::lround(step.left_deg_s)));
     }
     void halt() {
-        lab_.receive(0, arcos::encodeCommand(Command::EStop));
+        lab_.robot(0).receive(arcos::encodeCommand(Command::EStop));
         run(1);
         EXPECT_NEAR(lab_.truth(0).speed_m_s, 0, 0.01);
     }

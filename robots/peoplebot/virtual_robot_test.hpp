@@ -40,12 +40,12 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
                 if (robot == 0) inbox_.push_back({lab_->now() + late_, bytes});
             },
             options);
-        lab_->clientConnected(0);
+        lab_->robot(0).clientConnected();
         session_.begin(lab_->now());
         run(1.3);
         order(Command::Enable, 1);
     }
-    void send(const arcos::Bytes& bytes) override { lab_->receive(0, bytes); }
+    void send(const arcos::Bytes& bytes) override { lab_->robot(0).receive(bytes); }
     void onOnline(const arcos::RobotIdentity& /*identity*/) override {
         order(Command::SetA, 300);
         order(Command::SetA, -600);
@@ -53,7 +53,9 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
     void onState(const arcos::RobotState& /*state*/) override { fresh_ = true; }
     void onLost(const std::string& /*reason*/) override {}
 
-    void order(Command command, int argument) { lab_->receive(0, arcos::encodeCommand(command, argument)); }
+    void order(Command command, int argument) {
+        lab_->robot(0).receive(arcos::encodeCommand(command, argument));
+    }
     void run(double seconds) {
         const auto end =
             lab_->age() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(seconds));
@@ -84,13 +86,13 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
             bumps_ += session_.robot().front_bumpers != 0 || session_.robot().rear_bumpers != 0 ? 1 : 0;
             if (step.outcome == MotionStep::Outcome::Failed) failed_at_ = lab_->age();
             if (step.halt) {
-                lab_->receive(0, arcos::encodeCommand(Command::EStop));
+                lab_->robot(0).receive(arcos::encodeCommand(Command::EStop));
                 continue;
             }
             order(Command::Vel, static_cast<int>(std::lround(step.forward_mm_s)));
             order(Command::RVel, static_cast<int>(std::lround(step.left_deg_s)));
         }
-        lab_->receive(0, arcos::encodeCommand(Command::EStop));
+        lab_->robot(0).receive(arcos::encodeCommand(Command::EStop));
         run(1);
         EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.01);
         return step;

@@ -3,13 +3,13 @@
 
 #include <atomic>
 
-#include "robots/arcos/stream_thread.hpp"
+#include "robots/common/stream_thread.hpp"
 
 namespace axon::ssc32 {
 
-class Ssc32Client::Worker final : public ClientSession::Port, public arcos::StreamThread::Session {
+class Ssc32Client::Worker final : public ClientSession::Port, public robots::StreamThread::Session {
   public:
-    Worker(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
+    Worker(robots::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
            Duration silence_limit, std::shared_ptr<const Clock> clock)
         : callbacks_(std::move(callbacks)),
           session_(*this, std::move(channels), silence_limit),
@@ -64,10 +64,10 @@ class Ssc32Client::Worker final : public ClientSession::Port, public arcos::Stre
     ClientSession session_;  // confined to the stream's thread
     std::atomic<bool> online_ = false;
     std::atomic<bool> pulses_wanted_ = false;
-    arcos::StreamThread stream_;  // last: its thread uses all of the above
+    robots::StreamThread stream_;  // last: its thread uses all of the above
 };
 
-Ssc32Client::Ssc32Client(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
+Ssc32Client::Ssc32Client(robots::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
                          Duration silence_limit, std::shared_ptr<const Clock> clock)
     : worker_(std::make_unique<Worker>(std::move(open), std::move(channels), std::move(callbacks),
                                        silence_limit, std::move(clock))) {}

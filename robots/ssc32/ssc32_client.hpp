@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "robots/arcos/byte_stream.hpp"
+#include "robots/common/byte_stream.hpp"
 #include "robots/ssc32/client_session.hpp"
 
 namespace axon::ssc32 {
@@ -26,7 +26,7 @@ class Ssc32Client {
         std::function<void(const std::string& reason)> on_lost;  ///< also for each failed attempt to connect
     };
 
-    Ssc32Client(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
+    Ssc32Client(robots::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
                 Duration silence_limit = ClientSession::kSilenceLimit,
                 std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
     ~Ssc32Client();

@@ -239,12 +239,12 @@ std::vector<CertificatePtr> parsed(std::string_view pem, const std::string& file
     }
     if (all.empty()) {
         throw Unusable(file + ": expected a certificate in PEM form (-----BEGIN CERTIFICATE-----)",
-                       "name a file of axon certs issue that ends in .cert.pem, or make it anew");
+                       "name a file of axon certs issue that ends in .cert.pem, or make it again");
     }
     return all;
 }
 
-constexpr const char* kAnew = "axon certs init --force, then issue all certificates anew";
+constexpr const char* kAnew = "axon certs init --force, then issue all certificates again";
 
 }  // namespace
 

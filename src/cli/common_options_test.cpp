@@ -80,63 +80,117 @@ TEST(CommonOptions, AnAgentIsStartedWithTheSettingsOfTheCommand) {
 }
 
 /// docs/reference/command.md is written by hand; these lines of it are compared.
-std::string reference() {
-    std::stringstream page;
-    page << std::ifstream("docs/reference/command.md", std::ios::binary).rdbuf();
-    return page.str();
+using Lines = std::vector<std::string>;
+
+/// The lines of the chapter under this heading.
+Lines chapterOfReference(const std::string& heading) {
+    std::ifstream page("docs/reference/command.md", std::ios::binary);
+    Lines lines;
+    bool inside = false;
+    for (std::string line; std::getline(page, line);) {
+        if (line.rfind("## ", 0) == 0) inside = line == heading;
+        if (inside) lines.push_back(line);
+    }
+    return lines;
+}
+
+std::string joined(const Lines& lines) {
+    std::string text = "\n";
+    for (const auto& line : lines) text += line + "\n";
+    return text;
 }
 
 TEST(CommonOptions, TheReferenceHasARowForEach) {
-    const auto page = reference();
+    const auto chapter = joined(chapterOfReference("## Options of every verb"));
     for (const auto& option : commonOptions()) {
         auto row = std::string("\n| `--") + option.name;
         if (*option.placeholder != '\0') row += std::string(" ") + option.placeholder;
         row += "` | ";
         if (*option.environment != '\0') row += std::string("`") + option.environment + "` ";
-        EXPECT_THAT(page, HasSubstr(row + "|"));
+        EXPECT_THAT(chapter, HasSubstr(row + "|"));
     }
 }
 
-/// The rows of the tables below "## Verbs" that are about this one: their first cell names it.
-std::string rowsOf(std::string page, const std::string& verb) {
-    const auto chapter = page.find("\n## Verbs\n");
-    page = chapter == std::string::npos ? ""
-                                        : page.substr(chapter + 1, page.find("\n## ", chapter + 1) - chapter);
+/// Whether the first cell of this row of a table names the verb.
+bool isRowOf(const std::string& line, const std::string& verb) {
+    if (line.rfind("| `", 0) != 0) return false;
     const auto space = verb.find(' ');
-    const auto group = verb.substr(0, space == std::string::npos ? 0 : space);
     const auto word = verb.substr(space == std::string::npos ? 0 : space + 1);
-    std::istringstream lines(page);
-    std::string rows;
-    for (std::string line; std::getline(lines, line);) {
-        if (line.rfind("| `", 0) != 0) continue;
-        const auto cell = line.substr(0, line.find(" | "));
-        const auto first = cell.substr(3, cell.find_first_of(" `", 3) - 3);
-        const bool in_group = findGroup(first) != nullptr;
-        const bool names = cell.find("`" + word + "`") != std::string::npos ||
-                           cell.find("`" + word + " ") != std::string::npos ||
-                           cell.find("`" + verb + "`") != std::string::npos ||
-                           cell.find("`" + verb + " ") != std::string::npos;
-        if (names && in_group == !group.empty()) rows += line + "\n";
-    }
-    return rows;
+    const auto cell = line.substr(0, line.find(" | "));
+    const auto first = cell.substr(3, cell.find_first_of(" `", 3) - 3);
+    const auto names = [&cell](const std::string& name) {
+        return cell.find("`" + name + "`") != std::string::npos ||
+               cell.find("`" + name + " ") != std::string::npos;
+    };
+    const bool of_group = space != std::string::npos;
+    return (findGroup(first) != nullptr) == of_group && (names(word) || names(verb));
 }
 
-TEST(Reference, HasARowForEachVerbAndItsOptions) {
-    const auto page = reference();
+/// Which lines of the chapter "Verbs" are about this verb: its rows, the items of lists that begin with its
+/// name, and the table under "Options of" it.
+std::vector<std::size_t> linesAbout(const std::string& verb, const Lines& chapter) {
+    std::vector<std::size_t> about;
+    bool item = false;
+    bool table = false;
+    for (std::size_t i = 0; i < chapter.size(); ++i) {
+        const auto& line = chapter[i];
+        const bool continues = line.rfind("  ", 0) == 0;
+        if (!continues)
+            item = line.rfind("* `" + verb + "`", 0) == 0 || line.rfind("* `" + verb + " ", 0) == 0;
+        if (line == "Options of `" + verb + "`:")
+            table = true;
+        else if (!line.empty() && line.front() != '|')
+            table = false;
+        if (isRowOf(line, verb) || item || (table && line.rfind("| `--", 0) == 0)) about.push_back(i);
+    }
+    return about;
+}
+
+/// The options of this verb that the lines about it do not name; the verb itself if there are no such lines.
+Lines missingOf(const Verb& verb, const Lines& chapter) {
+    const auto about = linesAbout(verb.name, chapter);
+    if (about.empty()) return {verb.name};
+    std::string text;
+    for (const auto line : about) text += chapter[line] + "\n";
+    Lines missing;
+    for (const auto& option : verb.options) {
+        const auto name = std::string("--") + option.name;
+        if (!testing::Value(text, testing::ContainsRegex(name + "[^a-z-]"))) missing.push_back(name);
+    }
+    return missing;
+}
+
+TEST(Reference, HasARowForEachVerbAndNamesItsOptionsThere) {
+    const auto chapter = chapterOfReference("## Verbs");
     for (const auto* verb : verbs()) {
         if (verb->hidden) continue;
-        EXPECT_FALSE(rowsOf(page, verb->name).empty())
-            << "docs/reference/command.md has no row for " << verb->name;
-        for (const auto& option : verb->options)
-            EXPECT_THAT(page, testing::ContainsRegex(std::string("--") + option.name + "[^a-z-]"))
-                << "of " << verb->name;
+        EXPECT_THAT(missingOf(*verb, chapter), testing::IsEmpty())
+            << "docs/reference/command.md does not say this of " << verb->name;
+    }
+}
+
+TEST(Reference, AnOptionIsMissedWhereItsVerbIsDescribedWhateverElseThePageNames) {
+    const auto chapter = chapterOfReference("## Verbs");
+    for (const auto* verb : verbs()) {
+        if (verb->hidden) continue;
+        for (const auto& option : verb->options) {
+            auto without = chapter;
+            const auto name = std::string("--") + option.name;
+            for (const auto line : linesAbout(verb->name, chapter)) {
+                auto& text = without[line];
+                for (auto at = text.find(name); at != std::string::npos; at = text.find(name))
+                    text.replace(at, name.size(), "-+");
+            }
+            without.push_back("Elsewhere: `" + name + "`.");
+            EXPECT_THAT(missingOf(*verb, without), testing::Contains(name)) << verb->name;
+        }
     }
 }
 
 TEST(Reference, HasARowForEachExitStatus) {
-    const auto page = reference();
+    const auto chapter = joined(chapterOfReference("## Exit status"));
     for (const int status : {kDone, kRefused, kUsage, kNoServer, kNotConfirmed, kStopped, kInterrupted})
-        EXPECT_THAT(page, HasSubstr("\n| " + std::to_string(status) + " | "));
+        EXPECT_THAT(chapter, HasSubstr("\n| " + std::to_string(status) + " | "));
 }
 
 }  // namespace

@@ -11,7 +11,7 @@
 
 namespace axon::client {
 
-CallbackQueue::CallbackQueue() : thread_([this] { run(); }) {}
+CallbackQueue::CallbackQueue() : thread_([this] { runOnOwnThread(); }) {}
 
 CallbackQueue::~CallbackQueue() {
     close();
@@ -39,6 +39,24 @@ bool CallbackQueue::post(std::function<void()> callback, bool may_be_left_out) {
     return true;
 }
 
+void CallbackQueue::wake() {
+    const std::lock_guard lock(mutex_);
+    if (runner_ != std::thread::id{}) return;  // it looks again before it ends
+    woken_ = true;
+    changed_.notify_all();
+}
+
+void CallbackQueue::runHere() {
+    std::unique_lock lock(mutex_);
+    if (runner_ != std::thread::id{}) return;
+    run(lock, kRunHere);
+}
+
+bool CallbackQueue::isThisThread() const {
+    const std::lock_guard lock(mutex_);
+    return runner_ == std::this_thread::get_id();
+}
+
 std::uint64_t CallbackQueue::leftOut() const {
     const std::lock_guard lock(mutex_);
     return left_out_;
@@ -47,21 +65,29 @@ std::uint64_t CallbackQueue::leftOut() const {
 void CallbackQueue::close() {
     std::deque<Entry> discarded;
     {
-        const std::lock_guard lock(mutex_);
+        std::unique_lock lock(mutex_);
         closed_ = true;
         discarded.swap(queue_);
         optional_ = 0;
+        changed_.notify_all();
+        changed_.wait(lock, [this] { return runner_ == std::thread::id{}; });
     }
-    changed_.notify_one();
     if (thread_.joinable()) thread_.join();
 }
 
-void CallbackQueue::run() {
+void CallbackQueue::runOnOwnThread() {
     pthread_setname_np(pthread_self(), "axon-callbacks");
     std::unique_lock lock(mutex_);
     while (true) {
-        changed_.wait(lock, [this] { return closed_ || !queue_.empty(); });
+        changed_.wait(lock, [this] { return closed_ || (woken_ && runner_ == std::thread::id{}); });
         if (closed_) return;
+        run(lock, kMost);
+    }
+}
+
+void CallbackQueue::run(std::unique_lock<std::mutex>& lock, std::size_t most) {
+    runner_ = std::this_thread::get_id();
+    for (; most > 0 && !closed_ && !queue_.empty(); --most) {
         Entry entry = std::move(queue_.front());
         queue_.pop_front();
         if (entry.may_be_left_out) --optional_;
@@ -70,10 +96,16 @@ void CallbackQueue::run() {
             entry.callback();
         } catch (const std::exception& error) {
             log().warn("client: a callback of the program threw: {}", error.what());
+        } catch (...) {
+            log().warn("client: a callback of the program threw something that is not a std::exception");
         }
         entry.callback = nullptr;
         lock.lock();
     }
+    runner_ = {};
+    woken_ = !queue_.empty();
+    // Under the lock: close(), which may be followed by the destructor, goes on after it.
+    if (closed_ || woken_) changed_.notify_all();
 }
 
 }  // namespace axon::client

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <condition_variable>
+#include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -9,7 +10,11 @@
 
 namespace axon::client {
 
-/// The one thread that runs the user's callbacks, in order, and the queue before it.
+/// Runs the program's callbacks one at a time, in the order of post(), and has the queue before them.
+///
+/// A callback runs on the thread that this object owns, or on a thread that brings news and calls runHere():
+/// waking another thread takes longer than most callbacks (ADR 0030). One thread at a time runs callbacks; the
+/// others leave what they post to it.
 ///
 /// Bounds: beyond kBound callbacks, the oldest one that may be left out (a sample, raw data, a change of an
 /// entity, progress of a task) is dropped and counted. Callbacks that must not be left out may be kMost, more
@@ -22,6 +27,7 @@ class CallbackQueue {
     static constexpr std::size_t kMost =
         65536 +
         kBound;  ///< the entities of a server (EntityServer.EntitiesMax), and as much again as otherwise
+    static constexpr std::size_t kRunHere = 32;  ///< that one runHere() calls at most
 
     CallbackQueue();
     ~CallbackQueue();
@@ -29,11 +35,16 @@ class CallbackQueue {
     CallbackQueue& operator=(const CallbackQueue&) = delete;
 
     /// Returns false if the queue is full of callbacks that must not be left out; this one was not taken
-    /// then. The callback runs after the next wake(). A thread that posts under a lock which callbacks also
-    /// take calls wake() when it has released that lock.
+    /// then. The callback runs after the next wake() or runHere(). A thread that posts under a lock which
+    /// callbacks also take calls them when it has released that lock.
     bool post(std::function<void()> callback, bool may_be_left_out);
-    void wake() { changed_.notify_one(); }
-    bool isThisThread() const { return std::this_thread::get_id() == thread_.get_id(); }
+    /// What was posted runs on this object's thread, or on the one that runs callbacks now.
+    void wake();
+    /// Runs what was posted on the calling thread, unless another one runs callbacks now. After kRunHere the
+    /// rest is left to this object's thread, so that the caller comes back to its own work.
+    void runHere();
+    /// Whether the calling thread is inside a callback.
+    bool isThisThread() const;
     std::uint64_t leftOut() const;
     /// No callback runs after it has returned. Must not be called from a callback.
     void close();
@@ -43,7 +54,10 @@ class CallbackQueue {
         std::function<void()> callback;
         bool may_be_left_out;
     };
-    void run();
+    void runOnOwnThread();
+    /// At most so many, one after the other, as the one thread that runs them; what is left is for the own
+    /// thread. `lock` is held before and after.
+    void run(std::unique_lock<std::mutex>& lock, std::size_t most);
 
     mutable std::mutex mutex_;
     std::condition_variable changed_;
@@ -51,6 +65,8 @@ class CallbackQueue {
     std::deque<Entry> queue_;
     std::size_t optional_ = 0;
     std::uint64_t left_out_ = 0;
+    std::thread::id runner_;  // none: nobody runs callbacks
+    bool woken_ = false;      // the own thread is to run what there is
     bool closed_ = false;
 
     std::thread thread_;

@@ -15,8 +15,8 @@
 
 namespace axon::client {
 
-/// What copies of a Task, or of a Run, share. The report is the core's newest; the callbacks run on the
-/// callback thread.
+/// What copies of a Task, or of a Run, share. The report is the core's newest; the callbacks run
+/// by the CallbackQueue.
 template <class Report>
 struct ReportShared {
     ReportShared(Id128 task_or_run, std::weak_ptr<Client::Session> owner, Report first)

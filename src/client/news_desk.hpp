@@ -22,7 +22,7 @@ namespace axon::client {
 /// Passes what the core reports on to the program: to its handles, watches, uploads and callbacks.
 ///
 /// Where in the flow: between SessionCore, which calls it as its SessionObserver under its lock, and the
-/// callback thread, on which the program is told. Ownership: it knows tasks and runs weakly, as long as they
+/// callbacks, by which the program is told. Ownership: it knows tasks and runs weakly, as long as they
 /// are not final, and check-outs as long as they are held. Threads: the first three groups of functions under
 /// the core's lock, which may be held while a handle's own is taken; the rest on any thread. Nothing here
 /// waits, and no callback runs under a lock. Failure: what a full queue leaves out is in callback_queue.hpp;
@@ -70,19 +70,20 @@ class NewsDesk final : public SessionObserver {
     std::pair<std::string, std::vector<std::string>> removeWatch(std::uint64_t watch);
 
     // From a use of the core.
-    /// Like post(). The callback thread is woken when the lock is free: a callback may use the core, and
-    /// would only wait for it.
+    /// Like post(). It runs when the lock is free: a callback may use the core, and would only wait for it.
     void tell(std::function<void()> callback, bool may_be_left_out);
     /// Whether tell() has been called since; then wake() is to be called without the lock.
     bool takeTold() { return std::exchange(told_, false); }
 
     void wake() { callbacks_.wake(); }
-    /// To the callback thread, in order.
+    /// Runs by the CallbackQueue, in order.
     void post(std::function<void()> callback, bool may_be_left_out);
     void tellConnection(bool connected, const std::string& reason);
     void setOnEntity(std::function<void(Presence, const Entity&)> callback);
     void setOnConnection(std::function<void(bool, const std::string&)> callback);
-    bool isCallbackThread() const { return callbacks_.isThisThread(); }
+    /// What was told runs on this thread, if no other one runs callbacks; without any lock.
+    void runHere() { callbacks_.runHere(); }
+    bool insideCallback() const { return callbacks_.isThisThread(); }
     /// No callback runs after it has returned. Must not be called from a callback.
     void close() { callbacks_.close(); }
 

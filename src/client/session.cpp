@@ -13,7 +13,7 @@
 #include "client/base/log.hpp"
 #include "client/connection/communicators.hpp"
 #include "client/connection/server_connection.hpp"
-#include "client/direct/ice_direct_path.hpp"
+#include "client/direct/network_path.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/sessions/routed_session.hpp"
 
@@ -56,12 +56,13 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
     : options_(settled(std::move(options))),
       clock_(std::move(clock)),
       communicators_(std::make_unique<Communicators>()),
+      lane_readers_(std::make_shared<LaneReaders>(*clock_)),
       core_(settingsOf(options_), *clock_, random_, messages_, news_, marks_),
       direct_(*clock_, static_cast<std::size_t>(std::max(options_.direct_paths, 0)),
               [this](const DirectOffer& offer) {
                   const auto connection = connection_.load();
-                  return std::make_shared<IceDirectPath>(
-                      communicators_->data(), communicators_->signal(), offer, Id128::random(random_),
+                  return std::make_shared<NetworkPath>(
+                      lane_readers_, communicators_->signal(), offer, Id128::random(random_),
                       connection ? connection->backlog() : std::make_shared<Backlog>(), *clock_,
                       weak_from_this());
               }),
@@ -94,7 +95,7 @@ Client::Session::Leaving Client::Session::collect(Sends sends) {
     leaving.wake_timer = threads_.timer.turn.mustWakeFor(deadline);
     leaving.wake_heartbeat = threads_.heartbeat.turn.mustWakeFor(core_.nextHeartbeat());
     leaving.messages = messages_.collect(sends == Sends::Here);
-    leaving.told = news_.takeTold();
+    leaving.told = news_.takeTold() && sends != Sends::Reader;
     return leaving;
 }
 
@@ -116,7 +117,7 @@ void Client::Session::onCore(std::uint64_t attempt, Use&& use) {
 }
 
 void Client::Session::mayWait() const {
-    if (news_.isCallbackThread()) {
+    if (news_.insideCallback()) {
         throw std::logic_error(
             "axon::client: a call that waits was made from a callback, which would wait for itself. Make it "
             "from another thread.");
@@ -280,6 +281,7 @@ void Client::Session::close() {
         entities_changed_.notify_all();
         if (connection && was_up) connection->leave();
         news_.close();
+        lane_readers_->end();
         // Joins Ice's threads, and ends a login that the timer thread may be waiting for.
         communicators_->destroy();
         for (auto* thread : {&threads_.sender, &threads_.timer, &threads_.heartbeat, &threads_.stops})
@@ -425,9 +427,13 @@ void Client::Session::newDirectMsg(const DirectPath& path, direct::Keeping keepi
             arrival = direct_.arrived(path, keeping, head, message);
             if (arrival.pass) core.onEntityMsg(head, message, false);
         },
-        Sends::Sender);
+        Sends::Reader);
     if (arrival.close) arrival.close->close(arrival.why);
     if (arrival.acknowledge) path.beat();
+}
+
+void Client::Session::directRead() {
+    news_.runHere();
 }
 
 void Client::Session::newDirectReceipt(const DirectPath&, const Header& head, std::string_view message) {

@@ -28,6 +28,7 @@
 namespace axon::client {
 
 class Communicators;
+class LaneReaders;
 class ServerConnection;
 
 /// The rim around SessionCore: its lock, threads, the connection and its recovery (README.md has the table of
@@ -51,8 +52,9 @@ class Client::Session final : public LeaseOffers,
 
     /// Which thread sends the messages of a use of the core: the calling thread, if it is the user's and does
     /// not send fast, or the sender's thread. The threads of heartbeats, deadlines and signals send no data,
-    /// so that a flood on the data lane cannot hold them up.
-    enum class Sends : std::uint8_t { Here, Sender };
+    /// so that a flood on the data lane cannot hold them up. Reader: as Sender; and the callbacks of what the
+    /// program is told run in directRead().
+    enum class Sends : std::uint8_t { Here, Sender, Reader };
     /// Runs `use` on the core under its lock; then what it gave to send leaves (depart()).
     template <class Use>
     auto withCore(Use&& use, Sends sends = Sends::Here) {
@@ -79,7 +81,7 @@ class Client::Session final : public LeaseOffers,
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
     /// Messages to this entity go by a direct path.
     bool direct(const Held& held) const;
-    /// Throws std::logic_error on the callback thread: waiting there would wait for itself.
+    /// Throws std::logic_error inside a callback: waiting there would wait for itself.
     void mayWait() const;
 
     MessageSender& messages() { return messages_; }
@@ -108,9 +110,10 @@ class Client::Session final : public LeaseOffers,
     void newServerHeartbeat(std::uint64_t attempt) override;
     void closed(std::uint64_t attempt, const std::string& reason) override { lost(attempt, reason); }
 
-    // DirectPathEvents: threads of Ice.
+    // DirectPathEvents: threads of LaneReaders and of Ice.
     void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head,
                       std::string_view message) override;
+    void directRead() override;
     void newDirectReceipt(const DirectPath& path, const Header& head, std::string_view message) override;
     void directChanged() override;
 
@@ -144,6 +147,7 @@ class Client::Session final : public LeaseOffers,
     SystemRandom random_;
     SignalMarks marks_;
     const std::unique_ptr<Communicators> communicators_;
+    const std::shared_ptr<LaneReaders> lane_readers_;
     Threads threads_;
 
     // The attempt whose events count; 0 = none. Written under core_mutex_, and before the desk is told.

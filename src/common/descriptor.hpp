@@ -27,6 +27,8 @@ class Descriptor {
         if (fd_ >= 0) ::close(fd_);
         fd_ = -1;
     }
+    /// Whoever takes it closes it.
+    [[nodiscard]] int release() { return std::exchange(fd_, -1); }
 
   private:
     int fd_ = -1;

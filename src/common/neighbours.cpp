@@ -17,17 +17,12 @@ bool contains(const std::vector<std::string>& list, std::string_view one) {
 
 }  // namespace
 
-Watchdog Neighbours::watchdogOf(bool straight, bool busy, TimePoint now) const {
-    Watchdog watchdog(straight ? timeouts_.busy : timeouts_.met, straight ? timeouts_.idle : timeouts_.met,
-                      now);
-    watchdog.setBusy(busy, now);
-    return watchdog;
-}
-
 Neighbours::Neighbour* Neighbours::findOrAdd(std::string_view server, TimePoint now) {
     if (const auto found = all_.find(server); found != all_.end()) return &found->second;
     if (all_.size() >= kMost) return nullptr;
-    return &all_.emplace(std::string(server), Neighbour(watchdogOf(false, false, now))).first->second;
+    auto& its = all_[std::string(server)];
+    its.liveness.setTimeouts(timeouts_.met, timeouts_.met, now);
+    return &its;
 }
 
 bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePoint now) {
@@ -48,7 +43,7 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
         }
         its->straight = false;
         its->alive = true;
-        its->watchdog = watchdogOf(false, its->watchdog.busy(), now);
+        its->liveness.setTimeouts(timeouts_.met, timeouts_.met, now);
         its->arrived = news = true;
     }
     if (known.signals != announcement.signals || known.messages != announcement.messages || !its->reached)
@@ -58,11 +53,11 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
     known = announcement;
     if (lane == Lane::Signal && !its->straight) {
         its->straight = true;
-        its->watchdog = watchdogOf(true, its->watchdog.busy(), now);
-        news = true;  // its watchdog is shorter than was said
+        its->liveness.setTimeouts(timeouts_.busy, timeouts_.idle, now);
+        news = true;  // its time-out is shorter than was said
     }
     if (lane == Lane::Signal || !its->straight) {
-        its->watchdog.feed(now);
+        its->liveness.heard(now);
         if (!its->alive) its->alive = its->arrived = news = true;
     }
     return news;
@@ -75,7 +70,7 @@ void Neighbours::await(std::string_view server, TimePoint now) {
 
 void Neighbours::setBusy(std::string_view server, bool busy, TimePoint now) {
     const std::lock_guard lock(mutex_);
-    if (auto* its = findOrAdd(server, now)) its->watchdog.setBusy(busy, now);
+    if (auto* its = findOrAdd(server, now)) its->liveness.setBusy(busy, now);
 }
 
 Neighbours::News Neighbours::news(TimePoint now) {
@@ -84,17 +79,17 @@ Neighbours::News Neighbours::news(TimePoint now) {
     const std::lock_guard lock(mutex_);
     for (auto entry = all_.begin(); entry != all_.end();) {
         auto& [name, its] = *entry;
-        const bool silent = its.alive && its.watchdog.expired(now);
+        const bool silent = its.alive && its.liveness.expired(now);
         if (silent) its.alive = its.arrived = false;
         if (silent || its.restarted) news.lost.push_back(name);
         if (its.arrived) news.arrived.push_back(name);
         its.arrived = its.restarted = false;
-        if (its.alive) news.next = std::min(news.next, its.watchdog.deadline());
+        if (its.alive) news.next = std::min(news.next, its.liveness.deadline());
         if (its.reached && now >= its.reachable_until) {
             its.reached = false;
             reach_changed_ = true;
         }
-        const bool forgotten = !its.alive && !its.watchdog.busy() && now >= its.reachable_until + kForget;
+        const bool forgotten = !its.alive && !its.liveness.busy() && now >= its.reachable_until + kForget;
         entry = forgotten ? all_.erase(entry) : std::next(entry);
     }
     if (reach_changed_) {
@@ -129,8 +124,7 @@ bool Neighbours::hears(std::string_view server, Duration within, TimePoint now) 
     const std::lock_guard lock(mutex_);
     const auto found = all_.find(server);
     if (found == all_.end() || !found->second.alive || !found->second.straight) return false;
-    const auto& watchdog = found->second.watchdog;
-    return watchdog.deadline() - watchdog.timeout() + within >= now;
+    return found->second.liveness.silentSince() + within >= now;
 }
 
 std::size_t Neighbours::size() const {

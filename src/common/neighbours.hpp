@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "common/clock.hpp"
+#include "common/liveness.hpp"
 #include "common/routed.hpp"
-#include "common/watchdog.hpp"
 
 namespace axon {
 
@@ -72,10 +72,9 @@ class Neighbours {
 
   private:
     struct Neighbour {
-        explicit Neighbour(Watchdog its) : watchdog(its) {}
         ServerAnnouncement announcement;    // its instance is empty until it was heard
         std::vector<std::string> replaced;  // instances, the last few
-        Watchdog watchdog;
+        Liveness liveness;
         TimePoint reachable_until;
         bool reached = false;
         bool straight = false;
@@ -83,7 +82,6 @@ class Neighbours {
         bool arrived = false;
         bool restarted = false;
     };
-    Watchdog watchdogOf(bool straight, bool busy, TimePoint now) const;
     Neighbour* findOrAdd(std::string_view server, TimePoint now);
 
     const Timeouts timeouts_;

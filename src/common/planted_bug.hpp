@@ -44,9 +44,9 @@
     X(LoserNotTold, "who loses an entity by a take-over is not told")                                        \
     X(LateGrantLeft, "what is granted to a client that has gone stays its own")                              \
     X(RequestsWaitForEver, "a client's request that nobody answers does not time out")                       \
-    X(StrangersObeyed, "an order of who does not hold the entity is carried out")                            \
+    X(StrangersObeyed, "a command from a client that does not hold the entity is carried out")               \
     X(UnaskedHolderBelieved, "an entity may name any client as its busy holder")                             \
-    X(PathUnproved, "whoever knows the lease and its holder opens a direct path, without the key")           \
+    X(PathUnproved, "a client that knows the lease and its holder opens a direct path without the key")      \
     X(AnybodysNumbersCount, "others' marks and messages count as those of the direct path's client")         \
     X(MarkNotAwaited, "what comes by a direct path overtakes what the servers still carry")                  \
     X(SentAgainPassesTwice, "what is sent again after the end of a direct path passes again")                \

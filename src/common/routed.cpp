@@ -9,29 +9,14 @@ namespace axon {
 namespace {
 
 struct StateRow {
-    EntityState state;
     const char* token;
     Availability availability;
 };
 constexpr StateRow kStates[] = {
-    {EntityState::UNAV, "UNAV", Availability::Away},
-    {EntityState::INIT, "INIT", Availability::Away},
-    {EntityState::ENVCONN, "ENVCONN", Availability::Away},
-    {EntityState::IDLE, "IDLE", Availability::Ready},
-    {EntityState::REG, "REG", Availability::Ready},
-    {EntityState::COLLAB, "COLLAB", Availability::Working},
-    {EntityState::SLAVE, "SLAVE", Availability::Working},
-    {EntityState::BUSY, "BUSY", Availability::Working},
-    {EntityState::ERR, "ERR", Availability::Away},
+#define AXON_STATE(name, availability) {#name, Availability::availability},
+#include "common/axon/states.def"
+#undef AXON_STATE
 };
-
-constexpr bool inOrder() {
-    for (std::size_t i = 0; i < std::size(kStates); ++i)
-        if (static_cast<std::size_t>(kStates[i].state) != i) return false;
-    return true;
-}
-static_assert(inOrder() && std::size(kStates) == static_cast<std::size_t>(EntityState::ERR) + 1,
-              "each state has its row, in the order of the enum");
 
 /// Null for a number that is no state: servers pass on what a peer has said.
 const StateRow* rowOf(EntityState state) {

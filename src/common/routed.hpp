@@ -82,6 +82,12 @@ struct EntityStatus {
     bool operator==(const EntityStatus&) const = default;
 };
 
+/// What its texts take in a message, in bytes.
+inline std::size_t textBytes(const EntityStatus& status) {
+    return status.entity.size() + status.holder.id.size() + status.holder.name.size() + status.reason.size() +
+           status.server.size();
+}
+
 /// What a server of several tells the others of itself.
 struct ServerAnnouncement {
     std::string name;

@@ -13,6 +13,8 @@
 #include <cstring>
 #include <stdexcept>
 
+#include "common/descriptor.hpp"
+
 namespace axon {
 
 namespace {
@@ -27,13 +29,13 @@ const SharedClockPage* mapPage(const std::string& path) {
     constexpr auto* kFix =
         "start the laboratory first, with axon-lab --clock and this file, or unset AXON_CLOCK to use the "
         "time of this machine";
-    const int file = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0) fail(std::string(std::strerror(errno)) + "; fix: " + kFix);
+    const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+    if (!file.open()) fail(std::string(std::strerror(errno)) + "; fix: " + kFix);
     struct stat status {};
-    const bool whole = ::fstat(file, &status) == 0 && S_ISREG(status.st_mode) &&
+    const bool whole = ::fstat(file.get(), &status) == 0 && S_ISREG(status.st_mode) &&
                        status.st_size == static_cast<off_t>(sizeof(SharedClockPage));
-    void* at = whole ? ::mmap(nullptr, sizeof(SharedClockPage), PROT_READ, MAP_SHARED, file, 0) : MAP_FAILED;
-    ::close(file);
+    void* at =
+        whole ? ::mmap(nullptr, sizeof(SharedClockPage), PROT_READ, MAP_SHARED, file.get(), 0) : MAP_FAILED;
     const auto* page = at == MAP_FAILED ? nullptr : static_cast<const SharedClockPage*>(at);
     if (page != nullptr && std::string_view(page->magic, sizeof page->magic) == SharedClockPage::kMagic) {
         // Of an earlier start of this machine it may even lie ahead.

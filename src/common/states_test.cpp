@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: MIT
+#include <axon/status.pb.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <string>
@@ -8,11 +10,19 @@
 namespace axon {
 namespace {
 
-TEST(EntityStates, AreTheThesisNineTokensInTheOrderOfTheContract) {
+TEST(EntityStates, BeginWithTheThesisNineTokens) {
     std::string all;
-    for (int state = 0; state <= static_cast<int>(EntityState::ERR); ++state)
-        all += std::string(toString(static_cast<EntityState>(state))) + ' ';
-    EXPECT_EQ(all, "UNAV INIT ENVCONN IDLE REG COLLAB SLAVE BUSY ERR ");
+    for (const auto state : kEntityStates) all += std::string(toString(state)) + ' ';
+    EXPECT_THAT(all, ::testing::StartsWith("UNAV INIT ENVCONN IDLE REG COLLAB SLAVE BUSY ERR "));
+}
+
+TEST(EntityStates, AreThoseOfTheContractInItsOrder) {
+    int number = 0;
+    for (const auto state : kEntityStates) {
+        EXPECT_EQ(static_cast<int>(state), number);
+        EXPECT_EQ(proto::EntityState_Name(static_cast<proto::EntityState>(++number)), toString(state));
+    }
+    EXPECT_EQ(proto::EntityState_ARRAYSIZE, number + 1) << "the contract has more";
 }
 
 TEST(EntityStates, OfAnEntityThatCanBeHeldAreIdleAndRegAndWhatWorks) {

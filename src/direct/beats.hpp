@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <atomic>
 #include <cstddef>
-#include <cstdint>
 
 #include "common/backoff.hpp"
 #include "common/clock.hpp"
+#include "common/liveness.hpp"
 
 // Times of a direct path. The client beats on its signal connection, each 50 ms while it is busy and each 2 s
 // otherwise, and the Entity Manager answers each beat: so both know of either direction, and there is one
@@ -33,30 +32,11 @@ inline constexpr Duration kMarkWithin = kWatchdogBusy;
 inline constexpr std::size_t kAcknowledgeAfter = 256 * 1024;
 inline constexpr std::size_t kAcknowledgeAfterMessages = 128;
 
-/// How long the other end of a path has been silent. Threads: any; no lock, so that a beat never waits.
-class Silence {
-  public:
-    explicit Silence(TimePoint now) : last_(count(now)) {}
-
-    void heard(TimePoint now) { last_.store(count(now), std::memory_order_relaxed); }
-    /// Becoming busy counts as a sign of life: the other end could not have known.
-    void setBusy(bool busy, TimePoint now) {
-        if (busy && !busy_.load(std::memory_order_relaxed)) heard(now);
-        busy_.store(busy, std::memory_order_release);  // who sees it sees that sign of life, too
-    }
-    bool busy() const { return busy_.load(std::memory_order_relaxed); }
-    /// When it will have been silent for too long.
-    TimePoint deadline() const {
-        const bool busy = busy_.load(std::memory_order_acquire);  // first
-        return last() + (busy ? kWatchdogBusy : kWatchdogIdle);
-    }
-    TimePoint last() const { return TimePoint{Duration{last_.load(std::memory_order_relaxed)}}; }
-
-  private:
-    static Duration::rep count(TimePoint at) { return at.time_since_epoch().count(); }
-    std::atomic<Duration::rep> last_;
-    std::atomic<bool> busy_{false};
-};
+/// The other end of a path. Becoming busy always counts as a sign of life, because a path is busy for at
+/// least kLively, in which a silent end is noticed.
+inline Liveness livenessOfEnd(TimePoint now) {
+    return Liveness(kWatchdogBusy, kWatchdogIdle, now, Liveness::ShortPause::Sign);
+}
 
 /// When a path is tried again: after 1 s, each time twice as long, up to 30 s; from the beginning after one
 /// that stood for 30 s. Not thread-safe.

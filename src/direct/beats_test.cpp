@@ -8,20 +8,20 @@ namespace {
 
 using namespace std::chrono_literals;
 
-TEST(Silence, IsShortWhileATaskRunsAndLongOtherwise) {
+TEST(EndOfAPath, IsSilentAfterAQuarterOfASecondWhileBusyAndTenSecondsOtherwise) {
     ManualClock clock;
-    Silence silence(clock.now());
-    EXPECT_EQ(silence.deadline(), clock.now() + 10s);
+    auto end = livenessOfEnd(clock.now());
+    EXPECT_EQ(end.deadline(), clock.now() + 10s);
     clock.advance(9s);
-    silence.setBusy(true, clock.now());  // counts as a sign of life: nobody could have known
-    EXPECT_EQ(silence.deadline(), clock.now() + 250ms);
+    end.setBusy(true, clock.now());  // counts as a sign of life: nobody could have known
+    EXPECT_EQ(end.deadline(), clock.now() + 250ms);
     clock.advance(200ms);
-    silence.setBusy(true, clock.now());
-    EXPECT_EQ(silence.deadline(), clock.now() + 50ms);
-    silence.heard(clock.now());
-    EXPECT_EQ(silence.deadline(), clock.now() + 250ms);
-    silence.setBusy(false, clock.now());
-    EXPECT_EQ(silence.deadline(), clock.now() + 10s);
+    end.setBusy(true, clock.now());
+    EXPECT_EQ(end.deadline(), clock.now() + 50ms);
+    end.heard(clock.now());
+    EXPECT_EQ(end.deadline(), clock.now() + 250ms);
+    end.setBusy(false, clock.now());
+    EXPECT_EQ(end.deadline(), clock.now() + 10s);
 }
 
 TEST(Retry, DoublesFromOneSecondToThirty) {

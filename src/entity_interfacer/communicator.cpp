@@ -4,7 +4,6 @@
 #include <arpa/inet.h>
 #include <axon/link.pb.h>
 #include <fcntl.h>
-#include <netinet/tcp.h>
 #include <poll.h>
 #include <pthread.h>
 #include <sched.h>
@@ -16,6 +15,7 @@
 #include <cerrno>
 #include <cstring>
 #include <iostream>
+#include <span>
 #include <utility>
 
 #include "common/shared_clock.hpp"
@@ -29,21 +29,13 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr std::uint32_t kProtocol = 1;
-constexpr std::size_t kPendingMax = 32;
-constexpr auto kHelloTime = 1s;
 constexpr auto kLastWords = 300ms;
 constexpr auto kSlack = 50ms;  // for a sign of life that has arrived and has not been read yet
 constexpr int kStopPriority = 30;
 constexpr int kWatchPriority = 29;
 constexpr std::size_t kNameMax = 255;
 constexpr std::size_t kNotesMax = 32;
-constexpr auto kOutOfDescriptors = 100ms;
 constexpr auto kStopAgain = 200ms;  // a stop callback that threw
-
-std::int64_t nanoseconds(TimePoint t) {
-    return t.time_since_epoch().count();
-}
 
 /// Threads of the library leave signals to the application's own.
 template <class Body>
@@ -73,11 +65,6 @@ void onSignalOfProcess(int) {
     errno = saved;
 }
 
-std::chrono::milliseconds watchdogFrom(std::uint32_t ms, std::chrono::milliseconds usual) {
-    if (ms == 0) return usual;
-    return std::clamp(std::chrono::milliseconds{ms}, 20ms, 10000ms);
-}
-
 [[noreturn]] void misconfigured(const std::string& what) {
     throw Misconfiguration("axon: " + what);
 }
@@ -95,35 +82,34 @@ std::shared_ptr<const Clock> clockOfProcess() {
 Communicator::Communicator(EntityInterfacer::Options options)
     : options_(std::move(options)),
       clock_(options_.clock ? options_.clock : clockOfProcess()),
-      reports_standstill_(options_.reports_standstill) {
+      reports_standstill_(options_.reports_standstill),
+      handshakes_(*clock_, *this, options_.application, options_.instance) {
     if (options_.application.empty() || options_.application.size() > kNameMax ||
         options_.instance.size() > kNameMax || validUtf8(options_.application) != options_.application ||
         validUtf8(options_.instance) != options_.instance)
         misconfigured(
             "Options::application, instance: expected the name with which the Entity Manager is configured, "
             "1 to 255 bytes of UTF-8, and an instance of at most 255; fix: correct them");
-    address_ = options_.address;
+    where_.address = options_.address;
     if (options_.ports_file.empty()) {
         const auto range =
             checkPortRange(options_.first_port, options_.last_port, "Options::first_port, last_port");
         if (!range) misconfigured(range.refusal().message);
-        ports_ = range.value();
+        where_.ports = range.value();
         auto users = LinkUsers::parse(options_.users, "Options::users");
         if (!users) misconfigured(users.refusal().message);
-        users_ = std::move(users).value();
+        where_.users = std::move(users).value();
     } else {
         const auto file = readPorts(options_.ports_file);
         if (!file) misconfigured(file.refusal().message);
-        ports_ = file->ports;
-        users_ = file->users;
-        address_ = file->address;
+        where_ = file.value();
     }
     in_addr parsed{};
-    if (inet_pton(AF_INET, address_.c_str(), &parsed) != 1)
-        misconfigured("address '" + address_ +
+    if (inet_pton(AF_INET, where_.address.c_str(), &parsed) != 1)
+        misconfigured("address '" + where_.address +
                       "': expected an IPv4 address such as 127.0.0.1; fix: correct it");
-    if (!options_.beyond_loopback && !isLoopback(address_))
-        misconfigured("address " + address_ +
+    if (!options_.beyond_loopback && !isLoopback(where_.address))
+        misconfigured("address " + where_.address +
                       ": expected a loopback address (127.x.y.z), because the link has no authentication; "
                       "fix: use one, or set Options::beyond_loopback on a network that you trust");
 }
@@ -170,45 +156,19 @@ void Communicator::logNotes() {
     for (const auto& [level, text] : notes) log(level, text);
 }
 
-void Communicator::listen() {
-    for (unsigned port = ports_.first; port <= ports_.last; ++port) {
-        Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-        const int on = 1;
-        ::setsockopt(socket.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // TIME_WAIT of a former run
-        sockaddr_in where{};
-        where.sin_family = AF_INET;
-        where.sin_port = htons(static_cast<std::uint16_t>(port));
-        inet_pton(AF_INET, address_.c_str(), &where.sin_addr);
-        if (::bind(socket.get(), reinterpret_cast<const sockaddr*>(&where), sizeof where) == 0 &&
-            ::listen(socket.get(), 128) == 0) {
-            listener_ = std::move(socket);
-            port_ = static_cast<std::uint16_t>(port);
-            return;
-        }
-        if (errno != EADDRINUSE)
-            misconfigured(
-                "cannot listen on " + address_ + ":" + std::to_string(port) + ": " + std::strerror(errno) +
-                "; expected an address of this machine; fix: correct Axon.Address or Options::address");
-    }
-    misconfigured("every port of " + std::to_string(ports_.first) + "-" + std::to_string(ports_.last) +
-                  " on " + address_ +
-                  " is in use; expected a free one; fix: widen the range in ports.cfg of both the "
-                  "application and its Entity Manager");
-}
-
 void Communicator::start() {
     const std::lock_guard lock(shutdown_mutex_);
     if (shut_down_)
         throw std::logic_error(
             "axon: start() was called after shutdown(); fix: make another EntityInterfacer");
     if (started_) return;
-    listen();
+    port_ = handshakes_.listen(where_);
     started_ = true;
     stop_thread_ = quietThread("axon-stop", [this] { stopThread(); });
     watch_thread_ = quietThread("axon-watch", [this] { watchThread(); });
     data_thread_ = quietThread("axon-data", [this] { dataThread(); });
-    log(LogLevel::Info, "'" + options_.application + "' waits for its Entity Manager on " + address_ + ":" +
-                            std::to_string(port_));
+    log(LogLevel::Info, "'" + options_.application + "' waits for its Entity Manager on " + where_.address +
+                            ":" + std::to_string(port_));
 }
 
 void Communicator::run() {
@@ -255,34 +215,24 @@ void Communicator::shutdown() {
     if (onOwnThread()) return quit();
     const std::lock_guard lock(shutdown_mutex_);
     if (shut_down_.exchange(true) || !started_) return;
-    ending_ = true;
+    tasks_.startNoMore();
     end_stop_thread_ = true;
     stop_wake_.wake();
     stop_thread_.join();
 
-    const auto wait_for_handlers = [this](Duration time) {
-        std::unique_lock tasks(tasks_mutex_);
-        return task_ended_.wait_for(tasks, time, [this] {
-            return std::all_of(tasks_.begin(), tasks_.end(),
-                               [](const TaskThread& t) { return t.done->load(); });
-        });
-    };
     // Handlers that end at once may still say how; the link does not wait for the others.
-    wait_for_handlers(kLastWords);
+    tasks_.waitForAll(kLastWords);
     end_watch_thread_ = true;
     watch_wake_.wake();
     watch_thread_.join();
     end_data_thread_ = true;
     data_wake_.wake();
     data_thread_.join();
-    while (!wait_for_handlers(1s)) {
-        const std::lock_guard tasks(tasks_mutex_);
-        for (const auto& running : tasks_)
-            if (!running.done->load())
-                log(LogLevel::Warning, "shutting down waits for the handler of '" + running.task->service +
-                                           "'; fix: return from it when stopRequested() is true");
-    }
-    reapTasks();
+    while (!tasks_.waitForAll(1s))
+        for (const auto& service : tasks_.services())
+            log(LogLevel::Warning, "shutting down waits for the handler of '" + service +
+                                       "'; fix: return from it when stopRequested() is true");
+    tasks_.reap();
 }
 
 std::shared_ptr<Link> Communicator::currentLink() const {
@@ -348,7 +298,7 @@ void Communicator::stopThread() {
             if (signal_link_) {
                 baseline_known_ = false;
                 level_.adopt(0);
-                manager_heard_.allow({}, now());  // no gap reaches from one link into the next
+                manager_.suspendGaps();  // no gap reaches from one link into the next
                 signal_link_->epoch = level_.epoch();
                 {
                     // Only now: data of this link is judged by this level.
@@ -395,7 +345,7 @@ void Communicator::readSignals(Link& link) {
 void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     if (message.has_stop()) {
         const auto& stop = message.stop();
-        heard_ns_ = nanoseconds(now());
+        manager_.renew(now());
         if (stop.cause() == proto::STOP_DRILL) {
             proto::EiToEm done;
             done.mutable_stop_done()->set_drill(stop.drill());
@@ -412,10 +362,12 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     if (!message.has_beat())
         return link.cut("unexpected message on the signal connection: only beats and stops belong there");
     const auto& beat = message.beat();
-    heard_ns_ = nanoseconds(now());
-    manager_heard_.allow(beat.busy() ? link.watchdog_busy : link.watchdog_idle, now());
-    manager_heard_.heard(now());
-    if (busy_.exchange(beat.busy()) != beat.busy()) watch_wake_.wake();
+    const bool other_pace = manager_.busy() != beat.busy();
+    const auto time = now();
+    manager_.setBusy(beat.busy(), time);
+    manager_.resumeGaps(time);
+    manager_.heard(time);
+    if (other_pace) watch_wake_.wake();
     if (!baseline_known_) {
         baseline_known_ = true;
         level_.adopt(beat.stop_generation());
@@ -450,8 +402,8 @@ void Communicator::callStop(const StopSignal& called) {
     call_again_ = thrown.empty() ? TimePoint{} : now() + kStopAgain;
     const bool failed_before = stop_failed_.exchange(!thrown.empty());
     if (over) level_.settle();
-    heard_ns_ = nanoseconds(now());
-    manager_heard_.allow({}, now());  // nobody listened while the callback ran
+    manager_.renew(now());
+    manager_.suspendGaps();  // nobody listened while the callback ran
     in_callback_ = false;
     if (!thrown.empty() && !failed_before)
         note(LogLevel::Error, "the stop callback has not stopped the robot (" + thrown +
@@ -512,14 +464,9 @@ void Communicator::watchThread() {
     std::vector<pollfd> wait;
     while (!end_watch_thread_) {
         if (watched_ && watched_->lost()) watched_.reset();
-        const bool listening = accept_again_ <= now();
-        wait.assign({{watch_wake_.fd(), POLLIN, 0}, {listening ? listener_.get() : -1, POLLIN, 0}});
-        auto due = listening ? TimePoint::max() : accept_again_;
+        wait.assign(1, {watch_wake_.fd(), POLLIN, 0});
+        auto due = handshakes_.awaitAt(now(), wait);
         if (watched_) due = std::min(due, next_beat_);
-        for (const auto& pending : pending_) {
-            wait.push_back({pending.socket.get(), POLLIN, 0});
-            due = std::min(due, pending.deadline);
-        }
         timespec timeout{};
         if (due != TimePoint::max()) {
             const auto left = std::max<Duration>(clock_->realTimeUntil(due), Duration::zero());
@@ -531,172 +478,46 @@ void Communicator::watchThread() {
             watch_wake_.drain();
             next_beat_ = std::min(next_beat_, now());  // the period may have become shorter
         }
-        const auto polled = pending_.size();
-        std::vector<bool> forget(polled, false);
-        for (std::size_t i = 0; i < polled; ++i) {
-            if (wait[i + 2].revents != 0) forget[i] = readHello(pending_[i]);
-            if (pending_[i].deadline <= now()) forget[i] = true;
-        }
-        for (std::size_t i = polled; i-- > 0;)
-            if (forget[i]) pending_.erase(pending_.begin() + static_cast<std::ptrdiff_t>(i));
-        if (wait[1].revents != 0) accept();
+        if (handshakes_.handle(std::span(wait).subspan(1))) watch_wake_.wake();
         if (watched_ && next_beat_ <= now()) beat();
         if (watched_) checkSilence();
     }
     // The stop thread has ended: what it has settled stays so.
     if (watched_) watched_->cut("the robot application shuts down", level_.settled());
-    pending_.clear();
-    listener_.reset();
+    handshakes_.close();
     this_thread_of = nullptr;
 }
 
-void Communicator::accept() {
-    for (int burst = 0; burst < 64; ++burst) {
-        Descriptor socket(::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
-        if (!socket.open()) {
-            // The connection stays in the backlog, so that polling at once would spin.
-            if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)
-                accept_again_ = now() + kOutOfDescriptors;
-            return;
-        }
-        const int on = 1;
-        ::setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
-        if (pending_.size() >= kPendingMax) {
-            // A half-linked Entity Manager is worth more than a stranger that has said nothing yet.
-            auto oldest = std::find_if(pending_.begin(), pending_.end(),
-                                       [](const Pending& p) { return p.nonce.empty(); });
-            if (oldest == pending_.end()) return;
-            pending_.erase(oldest);
-        }
-        pending_.emplace_back();
-        pending_.back().socket = std::move(socket);
-        pending_.back().deadline = now() + kHelloTime;
-        if (readHello(pending_.back())) pending_.pop_back();  // its Hello is usually here already
-    }
-    watch_wake_.wake();
+std::optional<std::string> Communicator::linkedWith() const {
+    if (!watched_ || watched_->lost()) return std::nullopt;
+    return watched_->manager;
 }
 
-bool Communicator::readHello(Pending& pending) {
-    std::array<char, kHelloMax> buffer;
-    const auto got = ::recv(pending.socket.get(), buffer.data(), buffer.size(), MSG_DONTWAIT);
-    if (got == 0) return true;
-    if (got < 0) return errno != EAGAIN && errno != EINTR;
-    if (!pending.nonce.empty()) return true;  // nothing may be sent before both lanes are welcome
-    pending.reader.feed({buffer.data(), static_cast<std::size_t>(got)});
-    std::string payload;
-    if (!pending.reader.next(payload)) {
-        if (!pending.reader.failed()) return false;
-        refuse(pending, RefusalCode::Malformed, "first frame: " + pending.reader.error());
-        return true;
-    }
-    proto::EmToEi message;
-    if (!message.ParseFromString(payload) || !message.has_hello()) {
-        refuse(pending, RefusalCode::Malformed,
-               "expected Hello as the first frame; fix: see docs/reference/ei-link.md");
-        return true;
-    }
-    return onHello(pending, message.hello());
-}
-
-bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
-    const auto no = [&](RefusalCode code, const std::string& message) {
-        refuse(pending, code, message);
-        return true;
-    };
-    if (hello.protocol() != kProtocol)
-        return no(RefusalCode::NotSupported, "protocol " + std::to_string(hello.protocol()) +
-                                                 ": expected 1; fix: use an Entity Manager of this version");
-    if (hello.application() != options_.application)
-        return no(RefusalCode::UnknownEntity,
-                  "this is the robot application '" + options_.application +
-                      "'; fix: correct the application's name in the Entity Manager's configuration, unless "
-                      "its application listens on another port");
-    if (!hello.instance().empty() && hello.instance() != options_.instance)
-        return no(RefusalCode::UnknownEntity,
-                  "this is instance '" + options_.instance + "' of '" + options_.application + "'");
-    if (const auto stranger = users_.check(pending.socket.get()))
-        return no(stranger->code, stranger->message);
-    // Who links with us takes it that we have stopped.
-    if (stop_failed_)
-        return no(RefusalCode::WrongState, "the stop callback of '" + options_.application +
-                                               "' throws and is called again until it returns; fix: repair "
-                                               "what it stops, or restart the application");
-    if (hello.nonce().size() < 8 || hello.nonce().size() > 64)
-        return no(RefusalCode::Malformed, "nonce: expected 8 to 64 bytes, the same on both connections");
-    if (watched_ && !watched_->lost())
-        return no(RefusalCode::AlreadyHeld, "'" + options_.application +
-                                                "' is linked with another Entity Manager (" +
-                                                watched_->manager + "); fix: end that one first");
-    const auto half =
-        std::find_if(pending_.begin(), pending_.end(), [](const Pending& p) { return !p.nonce.empty(); });
-    if (hello.lane() == proto::LANE_SIGNAL) {
-        if (half != pending_.end())
-            return no(RefusalCode::AlreadyHeld, "another Entity Manager (" + half->manager +
-                                                    ") is linking with '" + options_.application + "'");
-        pending.nonce = hello.nonce();
-        pending.manager = hello.manager();
-        pending.busy = watchdogFrom(hello.watchdog_busy_ms(), 250ms);
-        pending.idle = watchdogFrom(hello.watchdog_idle_ms(), 500ms);
-        welcome(pending, hello, nullptr);
-        return false;
-    }
-    if (hello.lane() != proto::LANE_DATA)
-        return no(RefusalCode::Malformed, "lane: expected LANE_SIGNAL or LANE_DATA");
-    if (half == pending_.end()) return no(RefusalCode::WrongState, "expected the signal connection first");
-    if (half->nonce != hello.nonce())
-        return no(RefusalCode::AlreadyHeld, "another Entity Manager (" + half->manager +
-                                                ") is linking with '" + options_.application + "'");
-    welcome(pending, hello, nullptr);
-    watched_ =
-        std::make_shared<Link>(std::move(half->socket), std::move(half->reader), std::move(pending.socket),
-                               std::move(pending.reader), half->manager, half->busy, half->idle, data_wake_);
-    // The half itself goes at its deadline; without a nonce it reserves nothing, without a socket it reads
-    // nothing.
-    half->nonce.clear();
-    half->deadline = now();
-    heard_ns_ = nanoseconds(now());
-    busy_ = false;
+void Communicator::linkWith(Handshakes::Pair pair) {
+    watched_ = std::make_shared<Link>(std::move(pair.signal), std::move(pair.signal_reader),
+                                      std::move(pair.data), std::move(pair.data_reader), pair.manager,
+                                      data_wake_);
+    manager_.setTimeouts(pair.watchdog_busy, pair.watchdog_idle, now());
+    manager_.setBusy(false, now());
+    manager_.suspendGaps();  // until the first beat
     next_beat_ = now();
     {
         const std::lock_guard lock(signal_handover_mutex_);
         signal_handover_ = watched_;
     }
     stop_wake_.wake();
-    return true;
-}
-
-void Communicator::refuse(Pending& pending, RefusalCode code, const std::string& message) {
-    proto::Refusal refusal;
-    refusal.set_code(static_cast<proto::RefusalCode>(code));
-    refusal.set_message(message);
-    welcome(pending, proto::Hello{}, &refusal);
-}
-
-void Communicator::welcome(Pending& pending, const proto::Hello& hello, const proto::Refusal* refusal) {
-    proto::EiToEm message;
-    auto& welcome = *message.mutable_welcome();
-    welcome.set_protocol(kProtocol);
-    welcome.set_application(options_.application);
-    welcome.set_instance(options_.instance);
-    welcome.set_lane(hello.lane());
-    welcome.set_nonce(hello.nonce());
-    if (refusal != nullptr) *welcome.mutable_refusal() = *refusal;
-    std::string frame;
-    appendFrame(frame, message.SerializeAsString());
-    [[maybe_unused]] const auto sent =
-        ::send(pending.socket.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
 }
 
 void Communicator::beat() {
-    const bool busy = busy_;
-    next_beat_ = now() + (busy ? watched_->watchdog_busy : watched_->watchdog_idle) / 5;
+    const bool busy = manager_.busy();
+    next_beat_ = now() + manager_.timeout() / 5;
     proto::EiToEm message;
     auto& beat = *message.mutable_beat();
     beat.set_sequence(++beat_sequence_);
     beat.set_busy(busy);
     beat.set_stop_generation(level_.stopped());
     beat.set_stopped(level_.settled());
-    const auto gap = manager_heard_.longest(now());
+    const auto gap = manager_.longest(now());
     beat.set_longest_gap_ms(
         static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
     beat.set_allowed_ms(
@@ -707,21 +528,20 @@ void Communicator::beat() {
 void Communicator::checkSilence() {
     if (in_callback_) return;  // the stop thread cannot listen while the application's callback has it
     const auto time = now();
-    const auto heard = TimePoint{Duration{heard_ns_.load()}};
-    const auto timeout = busy_ ? watched_->watchdog_busy : watched_->watchdog_idle;
-    const auto silent = time - heard;
-    if (silent < timeout) {
-        if (silent > timeout * 3 / 5 && time >= slow_warn_again_) {
-            slow_warn_again_ = time + LifeSigns::kWarnAgain;
+    const auto deadline = manager_.deadline();
+    const auto timeout = std::chrono::duration_cast<std::chrono::milliseconds>(manager_.timeout());
+    if (time < deadline) {
+        if (time >= manager_.lateFrom() && time >= slow_warn_again_) {
+            slow_warn_again_ = time + Liveness::kWarnAgain;
             note(LogLevel::Warning,
                  "heartbeats of the Entity Manager come late (after more than half of the watchdog's " +
                      std::to_string(timeout.count()) + " ms); this machine is overloaded");
         }
-        next_beat_ = std::min(next_beat_, heard + timeout);
+        next_beat_ = std::min(next_beat_, deadline);
         return;
     }
     int unread = 0;
-    if (silent < timeout + kSlack && ::ioctl(watched_->signalFd(), FIONREAD, &unread) == 0 && unread > 0) {
+    if (time < deadline + kSlack && ::ioctl(watched_->signalFd(), FIONREAD, &unread) == 0 && unread > 0) {
         next_beat_ = std::min(next_beat_, time + 2ms);
         return;
     }

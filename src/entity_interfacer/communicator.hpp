@@ -2,35 +2,34 @@
 #pragma once
 #include <array>
 #include <atomic>
-#include <condition_variable>
-#include <deque>
 #include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <set>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
 #include "common/clock.hpp"
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
+#include "entity_interfacer/handshakes.hpp"
 #include "entity_interfacer/link.hpp"
 #include "entity_interfacer/running_task.hpp"
+#include "entity_interfacer/statements.hpp"
 #include "entity_interfacer/stop_level.hpp"
+#include "entity_interfacer/stream_channels.hpp"
+#include "entity_interfacer/task_threads.hpp"
 #include "host/port_range.hpp"
 
 namespace axon::proto {
 class Configuration;
 class EiToEm;
 class EmToEi;
-class Hello;
 class LinkBeat;
 class NotSent;
-class Refusal;
 class StopSignal;
 class TaskDispatch;
 }  // namespace axon::proto
@@ -51,7 +50,11 @@ struct Stream::Channel {
 /// Threads: the *stop thread* reads the signal connection and runs the stop callback; the *watch thread*
 /// accepts, beats and watches for silence; the *data thread* reads the data connection and runs all other
 /// callbacks; one thread per running task. They hand links over by pointer and wake each other by eventfd.
-class Communicator {
+///
+/// Parts with state of their own: Handshakes (connections that are not a link yet), TaskThreads, Statements
+/// and StreamChannels (what a new link must be told, or takes back). None of their locks is taken before
+/// onStop is called.
+class Communicator : private Handshakes::Others {
   public:
     struct Callbacks {
         std::function<Decision(const std::string&, const Parameter&)> parameter;
@@ -71,7 +74,7 @@ class Communicator {
     };
 
     explicit Communicator(EntityInterfacer::Options options);
-    ~Communicator();
+    ~Communicator() override;
 
     /// Throws std::logic_error once started.
     Callbacks& settableCallbacks();
@@ -103,20 +106,6 @@ class Communicator {
         std::string xml;
         bool send = false;
     };
-    struct TaskThread {
-        std::shared_ptr<Task::Running> task;
-        std::thread thread;
-        std::shared_ptr<std::atomic<bool>> done;
-    };
-    /// A connection whose peer has not yet proved to be our Entity Manager.
-    struct Pending {
-        Descriptor socket;
-        FrameReader reader{kHelloMax};
-        TimePoint deadline;
-        std::string nonce, manager;  // once its Hello for the signal lane is accepted
-        std::chrono::milliseconds busy{0}, idle{0};
-    };
-    static constexpr std::size_t kHelloMax = 4096;
 
     // Stop thread
     void stopThread();
@@ -131,12 +120,9 @@ class Communicator {
 
     // Watch thread
     void watchThread();
-    void accept();
-    /// True when the connection is to be forgotten here: dropped, or part of a link.
-    bool readHello(Pending& pending);
-    bool onHello(Pending& pending, const proto::Hello& hello);
-    void refuse(Pending& pending, RefusalCode code, const std::string& message);
-    void welcome(Pending& pending, const proto::Hello& hello, const proto::Refusal* refusal);
+    bool stopFailed() const override { return stop_failed_; }
+    std::optional<std::string> linkedWith() const override;
+    void linkWith(Handshakes::Pair pair) override;
     void beat();
     void checkSilence();
 
@@ -147,19 +133,12 @@ class Communicator {
     /// Of every value that a client gives, by itself or with a task.
     Decision decideParameter(const std::string& service, const Parameter& parameter) const;
     void onConfiguration(const std::shared_ptr<Link>& link, const proto::Configuration& configuration);
-    /// Whether onConfig has taken the value of this parameter, or why not.
-    void noteTaken(Link& link, const std::string& service, const std::string& parameter,
-                   const std::optional<std::string>& why_not);
-    /// Why no task of this service may begin; nothing: one may.
-    std::optional<std::string> valueNotTaken(const std::string& service);
     void onNotSent(const proto::NotSent& refused);
     void onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch);
     void runTask(const std::shared_ptr<Task::Running>& task, const EntityInterfacer::TaskHandler& handler);
     void adoptDataLink(const std::shared_ptr<Link>& link);
     void sendProfiles(Link& link, bool all);
     void watchProfiles();
-    void reapTasks();
-    std::shared_ptr<Task::Running> findTask(const std::string& id_bytes);
     /// " (what)" of an exception that has left the call; nothing where none has.
     template <class Call>
     static std::optional<std::string> thrownBy(Call call);
@@ -174,9 +153,6 @@ class Communicator {
     void unlessOvertaken(const Link& link, std::uint32_t generation, Call call);
     void logNotes();
 
-    /// What is to be said of a service that is named so: under statements_mutex_.
-    proto::EiToEm activityOf(const std::string& service) const;
-
     std::shared_ptr<Link> currentLink() const;
     void publish(std::shared_ptr<Link> link);
     /// Stops the application and cuts the link, so that the Entity Manager cannot start the next task. The
@@ -184,7 +160,6 @@ class Communicator {
     void fault(const std::string& what, const std::function<void()>& last_words);
     /// A log line of the stop or the watch thread, which never wait for a logger: the data thread writes it.
     void note(LogLevel level, std::string text);
-    void listen();
     bool onOwnThread() const;
 
     static thread_local const Communicator* this_thread_of;  // a thread knows whose it is
@@ -193,15 +168,11 @@ class Communicator {
     EntityInterfacer::Options options_;
     std::shared_ptr<const Clock> clock_;
     std::atomic<bool> reports_standstill_;
-    PortRange ports_;
-    LinkUsers users_;
-    std::string address_;
+    LinkPorts where_;
     Callbacks callbacks_;
-    Descriptor listener_;
 
     std::atomic<bool> started_{false};
     std::atomic<bool> shut_down_{false};
-    std::atomic<bool> ending_{false};
     std::atomic<std::uint16_t> port_{0};
     std::mutex shutdown_mutex_;
 
@@ -212,10 +183,8 @@ class Communicator {
     std::atomic<unsigned> faults_{0};
 
     // Written by the stop thread, read by the watch thread
-    std::atomic<std::int64_t> heard_ns_{0};
-    std::atomic<bool> busy_{false};
+    Liveness manager_;  // of the Entity Manager; the watch thread judges it, and sets it up for each link
     std::atomic<bool> in_callback_{false};
-    LifeSigns manager_heard_;
 
     // Links on their way from the watch thread to the stop thread, and from there to the data thread
     std::mutex signal_handover_mutex_, data_handover_mutex_;
@@ -230,14 +199,12 @@ class Communicator {
 
     // Watch thread
     std::shared_ptr<Link> watched_;
-    std::deque<Pending> pending_;
+    Handshakes handshakes_;
     TimePoint next_beat_{};
-    TimePoint accept_again_{};
     std::uint64_t beat_sequence_ = 0;
     TimePoint slow_warn_again_{};
 
     // Data thread
-    std::deque<std::string> recent_tasks_;
     bool may_move_ = false;  // something that may move the robot has come by the present link
     std::string last_not_sent_;
     TimePoint tell_not_sent_{};
@@ -249,20 +216,12 @@ class Communicator {
     std::mutex notes_mutex_;                               // held for a push or a swap
     std::vector<std::pair<LogLevel, std::string>> notes_;  // guarded by notes_mutex_
 
-    std::mutex statements_mutex_;
-    std::array<Profile, 2> profiles_;  // these seven guarded by statements_mutex_
-    std::optional<std::array<double, 3>> position_;
-    std::map<std::string, std::pair<bool, std::string>, std::less<>> active_;
-    /// Of the present link: by service and parameter, why onConfig has not taken the value. What the
-    /// application says of such a service counts when it has taken another.
-    std::map<std::pair<std::string, std::string>, std::string> not_taken_;
-    std::map<std::string, std::shared_ptr<Stream::Channel>, std::less<>> channels_;
-    bool all_streams_ = true;
-    std::set<std::string, std::less<>> wanted_streams_;
+    std::mutex profiles_mutex_;        // held for a copy, and while they are sent
+    std::array<Profile, 2> profiles_;  // guarded by profiles_mutex_
 
-    std::mutex tasks_mutex_;
-    std::condition_variable task_ended_;
-    std::vector<TaskThread> tasks_;  // guarded by tasks_mutex_
+    Statements statements_;
+    StreamChannels<Stream::Channel> channels_;
+    TaskThreads<Task::Running> tasks_{data_wake_};
 
     std::thread stop_thread_, watch_thread_, data_thread_;
 };

@@ -19,9 +19,6 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr std::size_t kProfileMax = kFrameMax - 4096;
-constexpr std::size_t kTasksMax = 64;
-constexpr std::size_t kRecentMax = 256;
-constexpr std::size_t kStreamsMax = 4096;
 constexpr std::size_t kThrownMax = 1000;  // of what an exception says, in bytes
 constexpr auto kProfileLook = 1s;
 constexpr auto kNotSentAgain = 10s;
@@ -60,55 +57,22 @@ void Communicator::setPosition(double x, double y, double z) {
     position.set_xpos(x);
     position.set_ypos(y);
     position.set_zpos(z);
-    {
-        const std::lock_guard lock(statements_mutex_);
-        position_ = {x, y, z};
-    }
+    statements_.positionIs(x, y, z);
     send(message, Link::Kind::Droppable);
 }
 
 void Communicator::setServiceActive(std::string_view service, bool active, std::string_view reason) {
-    const auto name = validUtf8(service);
-    // Sent in here, so that no statement overtakes a newer one.
-    const std::lock_guard lock(statements_mutex_);
-    active_[name] = {active, validUtf8(reason)};
-    send(activityOf(name), Link::Kind::Control);
-}
-
-proto::EiToEm Communicator::activityOf(const std::string& service) const {
-    proto::EiToEm message;
-    auto& body = *message.mutable_active();
-    body.set_service(service);
-    const auto said = active_.find(service);
-    body.set_active(said == active_.end() || said->second.first);
-    if (said != active_.end()) body.set_reason(said->second.second);
-    const auto not_taken = not_taken_.lower_bound({service, {}});
-    if (body.active() && not_taken != not_taken_.end() && not_taken->first.first == service) {
-        body.set_active(false);
-        body.set_reason(not_taken->second);
-    }
-    return message;
+    statements_.activeIs(service, active, reason,
+                         [this](const proto::EiToEm& said) { send(said, Link::Kind::Control); });
 }
 
 void Communicator::sendTaskFeedback(std::string_view service, std::string_view text) {
-    std::vector<std::shared_ptr<Task::Running>> running;
-    {
-        const std::lock_guard lock(tasks_mutex_);
-        for (const auto& task : tasks_)
-            if (task.task->service == service) running.push_back(task.task);
-    }
-    for (const auto& task : running) task->feedback(text);
+    for (const auto& task : tasks_.ofService(service)) task->feedback(text);
 }
 
 std::shared_ptr<Stream::Channel> Communicator::channel(std::string_view name) {
-    const std::lock_guard lock(statements_mutex_);
     const auto valid = validUtf8(name);
-    auto& channel = channels_[valid];
-    if (!channel) {
-        channel = std::make_shared<Stream::Channel>(valid, *this);
-        channel->wanted = all_streams_ || wanted_streams_.contains(valid);
-    }
-    return channel;
+    return channels_.channel(valid, [&] { return std::make_shared<Stream::Channel>(valid, *this); });
 }
 
 void Communicator::upload(bool services, const std::filesystem::path& file) {
@@ -118,14 +82,14 @@ void Communicator::upload(bool services, const std::filesystem::path& file) {
                                (services ? "services" : "basic") +
                                " profile (XML, 1 byte to 1020 KiB); fix: create it, or correct the path");
     std::error_code ignored;
-    const std::lock_guard lock(statements_mutex_);
+    const std::lock_guard lock(profiles_mutex_);
     profiles_.at(services ? 1 : 0) = {file, std::filesystem::last_write_time(file, ignored), text->size(),
                                       std::move(*text), true};
     data_wake_.wake();
 }
 
 void Communicator::sendProfiles(Link& link, bool all) {
-    const std::lock_guard lock(statements_mutex_);
+    const std::lock_guard lock(profiles_mutex_);
     for (std::size_t i = 0; i < profiles_.size(); ++i) {
         auto& profile = profiles_.at(i);
         if (profile.file.empty() || (!all && !profile.send)) continue;
@@ -152,7 +116,7 @@ void Communicator::watchProfiles() {
         std::filesystem::file_time_type changed;
         std::uintmax_t size = 0;
         {
-            const std::lock_guard lock(statements_mutex_);
+            const std::lock_guard lock(profiles_mutex_);
             file = profiles_.at(i).file;
             changed = profiles_.at(i).changed;
             size = profiles_.at(i).size;
@@ -167,7 +131,7 @@ void Communicator::watchProfiles() {
         if (!text || text->empty()) continue;
         const bool fits = text->size() <= kProfileMax;
         {
-            const std::lock_guard lock(statements_mutex_);
+            const std::lock_guard lock(profiles_mutex_);
             auto& profile = profiles_.at(i);
             if (profile.file != file) continue;
             profile.changed = time;
@@ -245,7 +209,7 @@ void Communicator::dataThread() {
         }
         watchProfiles();
         if (link) sendProfiles(*link, false);
-        reapTasks();
+        tasks_.reap();
     }
     drop();
     logNotes();
@@ -255,23 +219,9 @@ void Communicator::dataThread() {
 void Communicator::adoptDataLink(const std::shared_ptr<Link>& link) {
     may_move_ = false;
     sendProfiles(*link, true);
-    {
-        const std::lock_guard lock(statements_mutex_);
-        // Before the senders see the link, so that these are not followed by older values.
-        if (position_) {
-            proto::EiToEm message;
-            message.mutable_position()->set_xpos(position_->at(0));
-            message.mutable_position()->set_ypos(position_->at(1));
-            message.mutable_position()->set_zpos(position_->at(2));
-            link->sendData(message, Link::Kind::Control);
-        }
-        not_taken_.clear();  // all values are told again
-        for (const auto& [service, state] : active_) link->sendData(activityOf(service), Link::Kind::Control);
-        all_streams_ = true;
-        wanted_streams_.clear();
-        for (const auto& [name, channel] : channels_) channel->wanted = true;
-        publish(link);  // in here, so that no statement comes between what is repeated and what is sent
-    }
+    channels_.linkBegins();
+    statements_.repeat([&](const proto::EiToEm& said) { link->sendData(said, Link::Kind::Control); },
+                       [&] { publish(link); });
     log(LogLevel::Info, "linked with Entity Manager " + link->manager);
     if (callbacks_.link_up) guarded("onLinkUp", [&] { callbacks_.link_up(); });
 }
@@ -298,7 +248,7 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
 /// The handler first: what it reads from then on is what the application is told of.
 void Communicator::onConfiguration(const std::shared_ptr<Link>& link,
                                    const proto::Configuration& configuration) {
-    const auto task = findTask(configuration.task_id());
+    const auto task = tasks_.find(configuration.task_id());
     for (const auto& one : configuration.params()) {
         const auto parameter = fromProto(one.param());
         if (task) task->configure(parameter);
@@ -313,31 +263,10 @@ void Communicator::onConfiguration(const std::shared_ptr<Link>& link,
         if (thrown)
             why_not = "the value of " + which + " was not accepted: onConfig threw" + *thrown +
                       "; fix: set another value";
-        noteTaken(*link, one.service(), parameter.name, why_not);
+        statements_.valueTaken(one.service(), parameter.name, why_not,
+                               [&](const proto::EiToEm& said) { link->sendData(said, Link::Kind::Control); });
         if (thrown) log(LogLevel::Error, "'" + one.service() + "' is inactive: " + *why_not);
     }
-}
-
-void Communicator::noteTaken(Link& link, const std::string& service, const std::string& parameter,
-                             const std::optional<std::string>& why_not) {
-    const std::lock_guard lock(statements_mutex_);
-    if (why_not) {
-        not_taken_[{service, parameter}] = validUtf8(*why_not);
-    } else if (not_taken_.erase({service, parameter}) == 0) {
-        return;
-    }
-    link.sendData(activityOf(service), Link::Kind::Control);
-    if (why_not) return;
-    // The application may have switched it off by another of its names.
-    for (const auto& [name, state] : active_)
-        if (!state.first) link.sendData(activityOf(name), Link::Kind::Control);
-}
-
-std::optional<std::string> Communicator::valueNotTaken(const std::string& service) {
-    const std::lock_guard lock(statements_mutex_);
-    const auto at = not_taken_.lower_bound({service, {}});
-    if (at == not_taken_.end() || at->first.first != service) return std::nullopt;
-    return at->second;
 }
 
 /// A stream of refusals is one line.
@@ -390,10 +319,10 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
         case proto::EmToEi::kTask:
             return onTask(link, message.task());
         case proto::EmToEi::kCancel:
-            if (const auto task = findTask(message.cancel().task_id())) task->cancel();
+            if (const auto task = tasks_.find(message.cancel().task_id())) task->cancel();
             return;
         case proto::EmToEi::kPause:
-            if (const auto task = findTask(message.pause().task_id())) {
+            if (const auto task = tasks_.find(message.pause().task_id())) {
                 const bool resume = message.pause().resume();
                 if (!resume) {
                     task->setPaused(true);
@@ -419,19 +348,8 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                     callbacks_.raw({blocks.begin(), blocks.end()}, message.raw().from());
                 });
             });
-        case proto::EmToEi::kStream: {
-            const auto& control = message.stream();
-            const std::lock_guard lock(statements_mutex_);
-            if (control.stream().empty())
-                all_streams_ = control.on();
-            else if (!control.on())
-                wanted_streams_.erase(control.stream());
-            else if (wanted_streams_.size() < kStreamsMax)
-                wanted_streams_.insert(control.stream());
-            for (const auto& [name, channel] : channels_)
-                channel->wanted = all_streams_ || wanted_streams_.contains(name);
-            return;
-        }
+        case proto::EmToEi::kStream:
+            return channels_.switchTo(message.stream().on(), message.stream().stream());
         case proto::EmToEi::kNotSent:
             return onNotSent(message.not_sent());
         case proto::EmToEi::kProfileError: {
@@ -461,13 +379,14 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
         task->answer({code, message, {}});
     };
     if (task->id.empty()) return refuse(RefusalCode::Malformed, "task id: expected 16 bytes");
-    if (std::find(recent_tasks_.begin(), recent_tasks_.end(), task->id) != recent_tasks_.end())
+    if (tasks_.wasStarted(task->id))
         return refuse(RefusalCode::Duplicate, "a task with this id has been dispatched before");
     if (level_.stopped() > task->generation)
         return refuse(RefusalCode::OldGeneration,
                       "a stop has come since this task was requested; fix: request it again");
     // Its Entity Manager may not have heard of it yet.
-    if (const auto why = valueNotTaken(task->service)) return refuse(RefusalCode::InactiveService, *why);
+    if (const auto why = statements_.whyNotTaken(task->service))
+        return refuse(RefusalCode::InactiveService, *why);
     const auto own = callbacks_.tasks.find(task->service);
     const auto* handler = own != callbacks_.tasks.end() ? &own->second : &callbacks_.any_task;
     if (!*handler)
@@ -494,27 +413,9 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
             return;
         if (!decision.granted()) return refuse(codeOf(decision), decision.reason());
     }
-    reapTasks();
-    const std::lock_guard lock(tasks_mutex_);
-    if (ending_) return refuse(RefusalCode::Unavailable, "the robot application is shutting down");
-    if (tasks_.size() >= kTasksMax) return refuse(RefusalCode::QueueFull, "64 tasks are running already");
-    recent_tasks_.push_back(task->id);
-    if (recent_tasks_.size() > kRecentMax) recent_tasks_.pop_front();
-    TaskThread entry{task, {}, std::make_shared<std::atomic<bool>>(false)};
-    try {
-        entry.thread = std::thread([this, task, handler, done = entry.done] {
-            runTask(task, *handler);
-            {
-                const std::lock_guard ended(tasks_mutex_);
-                done->store(true);
-            }
-            task_ended_.notify_all();
-            data_wake_.wake();
-        });
-    } catch (const std::system_error&) {
-        return refuse(RefusalCode::Overloaded, "the task gets no thread: the machine is out of resources");
-    }
-    tasks_.push_back(std::move(entry));
+    tasks_.reap();
+    const auto refusal = tasks_.start(task, [this, task, handler] { runTask(task, *handler); });
+    if (!refusal.ok()) task->answer(refusal);
 }
 
 void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
@@ -534,25 +435,6 @@ void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
         fault("an exception left the handler of '" + running->service + "'",
               [&] { running->handlerThrew("an exception left the handler"); });
     }
-}
-
-std::shared_ptr<Task::Running> Communicator::findTask(const std::string& id_bytes) {
-    const std::lock_guard lock(tasks_mutex_);
-    for (const auto& running : tasks_)
-        if (running.task->id_bytes == id_bytes) return running.task;
-    return nullptr;
-}
-
-void Communicator::reapTasks() {
-    std::vector<TaskThread> finished;
-    {
-        const std::lock_guard lock(tasks_mutex_);
-        const auto first =
-            std::partition(tasks_.begin(), tasks_.end(), [](const TaskThread& t) { return !t.done->load(); });
-        std::move(first, tasks_.end(), std::back_inserter(finished));
-        tasks_.erase(first, tasks_.end());
-    }
-    for (auto& task : finished) task.thread.join();
 }
 
 }  // namespace axon

@@ -100,16 +100,17 @@ class Guard {
         pollfd wait{control_, POLLIN, 0};
         while (true) {
             const timespec look{0, Duration{kLook}.count()};
-            ::ppoll(&wait, 1, device_ < 0 ? nullptr : &look, nullptr);
+            ::ppoll(&wait, 1, device_.open() ? &look : nullptr, nullptr);
             page_.looks.fetch_add(1, std::memory_order_release);
             const auto now = clock_.now();
             if (wait.revents != 0 && !hear(now)) {
                 wait.fd = -1;  // the application has ended
                 gone_ = true;
-                if (device_ < 0) ::_exit(0);
+                if (!device_.open()) ::_exit(0);
                 if (!holding_) hold(when_gone_, now);
             }
-            if (device_ >= 0 && !holding_ && silence_.look(page_.beats.load(std::memory_order_acquire), now))
+            if (device_.open() && !holding_ &&
+                silence_.look(page_.beats.load(std::memory_order_acquire), now))
                 hold(when_silent_, now);
             if (holding_) goOnHolding(now);
         }
@@ -134,17 +135,18 @@ class Guard {
             page_.let_go.store(message.watch, std::memory_order_release);
         const auto* rights = CMSG_FIRSTHDR(&header);
         if (message.kind != Message::Kind::Watch || rights == nullptr) return true;
-        std::memcpy(&device_, CMSG_DATA(rights), sizeof device_);
+        int device = -1;
+        std::memcpy(&device, CMSG_DATA(rights), sizeof device);
+        device_ = Descriptor(device);
         watch_ = message.watch;
         int type = 0;
         socklen_t size = sizeof type;
-        is_socket_ = ::getsockopt(device_, SOL_SOCKET, SO_TYPE, &type, &size) == 0;
+        is_socket_ = ::getsockopt(device_.get(), SOL_SOCKET, SO_TYPE, &type, &size) == 0;
         silence_.restart(page_.beats.load(std::memory_order_acquire), now);
         return true;
     }
     void letGo() {
-        if (device_ >= 0) ::close(device_);
-        device_ = -1;
+        device_.reset();
         holding_ = false;
     }
     void hold(const std::string& why, TimePoint now) {
@@ -167,18 +169,18 @@ class Guard {
         if (!gone_ && !is_socket_) return;  // it cannot be shut for the application
         writeStop();                        // the last thing that the device hears
         if (gone_) ::_exit(0);
-        ::shutdown(device_, SHUT_RDWR);
+        ::shutdown(device_.get(), SHUT_RDWR);
         letGo();
     }
     void writeStop() const {
         if (is_socket_) {
             [[maybe_unused]] const auto sent =
-                ::send(device_, stop_.data(), stop_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+                ::send(device_.get(), stop_.data(), stop_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
             return;
         }
-        pollfd room{device_, POLLOUT, 0};
+        pollfd room{device_.get(), POLLOUT, 0};
         if (::poll(&room, 1, 0) != 1) return;
-        [[maybe_unused]] const auto written = ::write(device_, stop_.data(), stop_.size());
+        [[maybe_unused]] const auto written = ::write(device_.get(), stop_.data(), stop_.size());
     }
 
     const SteadyClock clock_{};
@@ -188,7 +190,7 @@ class Guard {
     SilenceCount silence_;
     const std::string& when_silent_;
     const std::string& when_gone_;
-    int device_ = -1;
+    Descriptor device_;
     bool is_socket_ = false;
     std::uint32_t watch_ = 0;
     bool holding_ = false;

@@ -16,11 +16,8 @@ constexpr std::size_t kDroppableMax = 256;
 }  // namespace
 
 Link::Link(Descriptor signal, FrameReader from_signal, Descriptor data, FrameReader from_data,
-           std::string who, std::chrono::milliseconds busy, std::chrono::milliseconds idle,
-           const WakeUp& data_thread)
+           std::string who, const WakeUp& data_thread)
     : manager(std::move(who)),
-      watchdog_busy(busy),
-      watchdog_idle(idle),
       signal_reader(std::move(from_signal)),
       data_reader(std::move(from_data)),
       signal_(std::move(signal)),

@@ -8,7 +8,7 @@
 #include <mutex>
 #include <string>
 
-#include "entity_interfacer/frame.hpp"
+#include "common/frame.hpp"
 #include "entity_interfacer/wake_up.hpp"
 
 namespace axon::proto {
@@ -29,11 +29,9 @@ class Link {
     enum class Kind { Control, Droppable };
 
     Link(Descriptor signal, FrameReader signal_reader_, Descriptor data, FrameReader data_reader_,
-         std::string manager_, std::chrono::milliseconds busy, std::chrono::milliseconds idle,
-         const WakeUp& data_thread);
+         std::string manager_, const WakeUp& data_thread);
 
     const std::string manager;
-    const std::chrono::milliseconds watchdog_busy, watchdog_idle;
     FrameReader signal_reader;
     FrameReader data_reader;
 

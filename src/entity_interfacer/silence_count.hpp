@@ -9,6 +9,10 @@ namespace axon {
 
 /// Notices that a peer's counter no longer grows. Of the time between two looks at most a quarter of the
 /// limit counts: while the whole machine stands still, the peer could not count and this side did not look.
+///
+/// It is not a Liveness, which has to be told when each sign of life came. The peer only counts in shared
+/// memory, so this side does not know that time: the silence is the sum of the times between its looks.
+///
 /// I/O-free, without allocation, not thread-safe.
 class SilenceCount {
   public:

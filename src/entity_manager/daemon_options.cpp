@@ -12,6 +12,7 @@
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
 #include "transport/ice/tls.hpp"
+#include "transport/process/logging.hpp"
 #include "transport/sessions/routed_session.hpp"
 
 namespace axon::entity_manager {
@@ -153,16 +154,17 @@ DirectSettings directOf(const std::string& what, const std::string& text) {
 
 DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     CLI::App app{
-        "The Entity Manager: stands beside one robot application, connects it to the Axon server, and guards "
-        "it: who\n"
-        "may command it, what may run, and that it stops.\n\n"
+        "The Entity Manager: stands beside one robot application and connects it to the Axon server.\n"
+        "It decides who may command the robot and when a task runs, and it makes sure that a stop stops.\n\n"
         "  axon-entity-manager --application hello\n"
         "  axon-entity-manager --application peoplebot --server lab.example:10412 --config "
         "entitymanager.cfg\n"};
     app.set_version_flag("--version", AXON_VERSION);
     std::string config, application, instance, server, ports, ports_file, users, address, state, log_level;
-    app.add_option("-c,--config", config,
-                   "Configuration file in Ice property syntax; the options below win over it");
+    app.add_option(
+        "-c,--config", config,
+        "Configuration file with lines KEY = VALUE (docs/reference/settings_files.md); the options "
+        "below override it");
     app.add_option("-a,--application", application,
                    "Name the robot application gives its Entity Interfacer (Axon.Application)");
     app.add_option("--instance", instance,
@@ -177,7 +179,9 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     app.add_option(
         "--state", state,
         "Folder for identity, leases and resources (Axon.State) [~/.local/state/axon/APPLICATION]");
-    app.add_option("--log-level", log_level, "trace, debug, info, warning, error (Axon.LogLevel) [info]");
+    app.add_option(
+        "--log-level", log_level,
+        "Least severe messages to log: " + std::string(transport::kLogLevels) + " (Axon.LogLevel) [info]");
 
     DaemonOptions options;
     try {
@@ -282,12 +286,9 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     ordered("Axon.LinkWatchdogBusyMs", options.back_end.watchdog_busy, "Axon.LinkWatchdogIdleMs",
             options.back_end.watchdog_idle);
     options.log_level = chosen(log_level, "Axon.LogLevel", "info");
-    static const std::set<std::string> kLevels{"trace", "debug",    "info", "warning",
-                                               "error", "critical", "off"};
-    if (!kLevels.contains(options.log_level))
-        throw std::runtime_error(
-            "--log-level: expected trace, debug, info, warning, error, critical or off, not '" +
-            options.log_level + "'");
+    if (!transport::isLogLevel(options.log_level))
+        throw std::runtime_error("--log-level (Axon.LogLevel): expected " +
+                                 std::string(transport::kLogLevels) + ", not '" + options.log_level + "'");
     options.state_folder =
         chosen(state, "Axon.State", defaultStateFolder(options.core.application, options.back_end.instance));
     return options;

@@ -100,6 +100,12 @@ TEST_F(DaemonOptionsTest, WhatTheFileSaysWrongIsRefusedWithItsLine) {
     EXPECT_THAT(refusal("\nAxon.Drect=on"), HasSubstr(std::string(line_3) + "unknown property"));
 }
 
+TEST_F(DaemonOptionsTest, TheLogTakesBothSpellingsOfWarning) {
+    EXPECT_EQ(read("Axon.LogLevel=warning").log_level, "warning");
+    EXPECT_EQ(read("Axon.LogLevel=warn").log_level, "warn");
+    EXPECT_THAT(refusal("Axon.LogLevel=loud"), HasSubstr("expected trace, debug, info, warning, error"));
+}
+
 TEST_F(DaemonOptionsTest, AnUnknownPropertyIsRefusedWithThoseThereAre) {
     EXPECT_THAT(refusal("Axon.Drect=on"),
                 testing::AllOf(HasSubstr("unknown property 'Axon.Drect'"), HasSubstr("Axon.Direct")));

@@ -93,7 +93,7 @@ void EntityManager::offerDirect(const DirectSettings& settings) {
     // What is TLS to the server is not plain to a client, and who comes through a router reaches no endpoint
     // behind it.
     if (plain_way_ && settings.offered)
-        doors_ = std::make_unique<DirectDoors>(settings, ice_, uuid(), clock_, weak_from_this());
+        doors_ = std::make_unique<DirectDoors>(strand_, settings, ice_, uuid(), clock_, weak_from_this());
 }
 
 void EntityManager::start() {
@@ -268,18 +268,38 @@ void EntityManager::directOpening(DirectOpening opening) {
     });
 }
 
-void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) {
-    const auto size = bytes.size();
-    Inbox::Event event = [this, path, keeping, head = std::move(head), bytes = std::move(bytes)]() mutable {
+bool EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header& head, std::string& bytes) {
+    if (stopped_) return true;
+    if (!inbox_.scheduled()) {
+        // Nothing waits, so it need not.
         if (direct_desk_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
+        return true;
+    }
+    const auto size = bytes.size();
+    Inbox::Event event = [this, path, keeping, its_head = head, its_bytes = bytes]() mutable {
+        if (direct_desk_->arrived(path, keeping, its_head, its_bytes))
+            core_->onClientMsg(its_head, its_bytes);
     };
-    if (keeping == direct::Keeping::Droppable)
-        return wake(inbox_.pushData(std::move(event), size), RunOn::Here);
-    // The holder waits; of the servers' way, where all have a share, the session would end.
-    const auto push = [&] { return inbox_.pushControl(std::move(event), size, Inbox::Share::Half); };
-    auto verdict = push();
-    for (; verdict == Inbox::Verdict::Overflow; verdict = push()) inbox_.awaitRoom(size);
-    wake(verdict, RunOn::Here);
+    const auto verdict = keeping == direct::Keeping::Droppable
+                             ? inbox_.pushData(std::move(event), size)
+                             : inbox_.pushControl(std::move(event), size, Inbox::Share::Half);
+    if (verdict == Inbox::Verdict::Overflow) {
+        // The holder waits; of the servers' way, where all have a share, the session would end.
+        direct_waits_ = size;
+        return false;
+    }
+    wake(verdict);
+    return true;
+}
+
+void EntityManager::directTurnEnded() {
+    afterEvents();
+}
+
+void EntityManager::letDirectGoOn() {
+    if (!direct_waits_ || !inbox_.hasRoom(*direct_waits_)) return;
+    direct_waits_.reset();
+    if (doors_) doors_->roomAgain();
 }
 
 void EntityManager::directStop(Header head, StopCause cause) {
@@ -369,17 +389,16 @@ void EntityManager::wake(Inbox::Verdict verdict, RunOn where) {
 }
 
 void EntityManager::drain() noexcept {
-    for (int handled = 0; handled < kEventsPerTurn; ++handled) {
+    bool left = true;
+    for (int handled = 0; left && handled < kEventsPerTurn; ++handled) {
         const auto event = inbox_.take();
-        if (!event) {
-            hearServer();  // after take(): a beat that was told that the strand comes is not left behind
-            afterEvents();
-            return;
-        }
-        if (!stopped_) event();
+        left = static_cast<bool>(event);
+        if (left && !stopped_) event();
     }
-    hearServer();
+    hearServer();  // after take(): a beat that was told that the strand comes is not left behind
     afterEvents();
+    letDirectGoOn();
+    if (!left) return;
     asio::post(strand_, [weak = weak_from_this()] {
         if (const auto self = weak.lock()) self->drain();
     });

@@ -6,6 +6,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 
 #include "common/clock.hpp"
@@ -63,7 +64,8 @@ class EntityManager final : public ServerEvents,
     const DatagramDesk* datagrams() const { return datagrams_.get(); }
 
     /// Before start(): the holder may talk to it without the servers in between (docs/reference/direct.md).
-    /// Costs two threads. Without effect where the way to the server is TLS or leads through a router.
+    /// Costs two threads, that of the signal lane and one that watches its port. Without effect where the way
+    /// to the server is TLS or leads through a router.
     void offerDirect(const DirectSettings& settings);
     /// Whether the holder does; any thread, as of the last event.
     bool direct() const { return direct_.load(); }
@@ -89,9 +91,10 @@ class EntityManager final : public ServerEvents,
     void serverHeartbeat() override;
     void undeliverable(Lane lane, Header head, const Refusal& refusal) override;
 
-    // DirectEvents, on Ice's threads.
+    // DirectEvents, on the strand and on Ice's thread.
     void directOpening(DirectOpening opening) override;
-    void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
+    bool directMsg(const Id128& path, direct::Keeping keeping, Header& head, std::string& bytes) override;
+    void directTurnEnded() override;
     void directStop(Header head, StopCause cause) override;
     void directReset(Header head) override;
     void directClear(Header head) override;
@@ -127,6 +130,8 @@ class EntityManager final : public ServerEvents,
     void drain() noexcept;
     void hearServer();
     void afterEvents();
+    /// Messages of the direct path wait for room, and there is some.
+    void letDirectGoOn();
     void armTimer();
 
     Strand strand_;
@@ -148,9 +153,10 @@ class EntityManager final : public ServerEvents,
     DueTimer timer_;
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> direct_{false};
-    std::atomic<int> openings_{0};           // that wait for the strand
-    std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
-    std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
+    std::atomic<int> openings_{0};             // that wait for the strand
+    std::atomic<bool> server_heard_{false};    // a heartbeat that the strand has not counted yet
+    std::atomic<bool> leaving_{false};         // a control overflow on its way to the strand
+    std::optional<std::size_t> direct_waits_;  // the bytes for which the direct path needs room
     bool latched_ = false;
     bool stopped_ = false;
     std::unique_ptr<DatagramDesk> datagrams_;  // last, so that its thread ends first

@@ -99,7 +99,7 @@ IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& dat
 template <class Call>
 bool IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
                              SenderKey from) {
-    return front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call, from);
+    return front_ends_.toOne(std::string(originOf(head.sender.id).server), traffic, head, bytes, call, from);
 }
 
 void IceFrontEndTopic::end() {
@@ -110,22 +110,22 @@ void IceFrontEndTopic::end() {
 
 void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                              std::string_view profile) {
-    front_ends_.data(
+    front_ends_.toAll(
         Traffic::Control, Header{}, profile,
         forward<FrontEndPrx>(&FrontEndPrx::entityBasicPrflUpdateAsync, toIce(presence), toIce(registration)));
 }
 void IceFrontEndTopic::entityUpdate(const EntityStatus& status, std::int64_t number) {
     const auto call =
         forward<FrontEndPrx>(&FrontEndPrx::entityUpdateAsync, toIce(status), static_cast<double>(number));
-    front_ends_.neighboursData(Traffic::Control, std::size_t{0}, call);
-    front_ends_.data(Traffic::Control, std::size_t{0}, call);
+    front_ends_.toNeighbours(Lane::Data, Traffic::Control, std::size_t{0}, call);
+    front_ends_.toAll(Traffic::Control, std::size_t{0}, call);
 }
 void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view message) {
     const auto call = forward<FrontEndPrx>(&FrontEndPrx::entityMsgAsync, toIce(lane));
     if (lane == Lane::Signal) {
-        front_ends_.signal(Traffic::Signal, head, message, call);
+        front_ends_.signalToAll(Traffic::Signal, head, message, call);
     } else if (head.sender.id.empty()) {
-        front_ends_.data(Traffic::Control, head, message, call);
+        front_ends_.toAll(Traffic::Control, head, message, call);
     } else {
         const auto ticket = std::make_shared<PublicationTicket>(client_lost_, head);
         const bool taken = toOne(Traffic::Control, head, message, PublicationTicket::follow(ticket, call),
@@ -142,15 +142,15 @@ void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusa
     const auto call = forward<FrontEndPrx>(&FrontEndPrx::entityRefusalAsync, static_cast<int>(refusal.code),
                                            refusal.message);
     if (lane == Lane::Signal) {
-        front_ends_.signal(Traffic::Signal, head, std::string_view(), call);
+        front_ends_.signalToAll(Traffic::Signal, head, std::string_view(), call);
     } else {
         toOne(Traffic::Control, head, std::string_view(), call);
     }
 }
 void IceFrontEndTopic::entityServerEntities(const std::string& server,
                                             const std::vector<std::string>& entities) {
-    front_ends_.data(Traffic::Control, entities.size() * kBytesOfUuid,
-                     forward<FrontEndPrx>(&FrontEndPrx::entityServerEntitiesAsync, server, entities));
+    front_ends_.toAll(Traffic::Control, entities.size() * kBytesOfUuid,
+                      forward<FrontEndPrx>(&FrontEndPrx::entityServerEntitiesAsync, server, entities));
 }
 void IceFrontEndTopic::entityServerUpdate(Lane lane, const ServerAnnouncement& self) {
     front_ends_.announce(
@@ -176,19 +176,19 @@ Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, con
     const auto from = senderKey(head.sender.id);
     const auto call = forward<PeerPrx>(&PeerPrx::peerMsgAsync);
     if (lane == Lane::Signal || raw) {
-        const auto taken =
-            peers_.straight(lane, server, raw ? Traffic::Data : Traffic::Control, head, message, call, from);
+        const auto taken = peers_.toNeighbour(lane, server, raw ? Traffic::Data : Traffic::Control, head,
+                                              message, call, from);
         return taken.value_or(false) ? Result<void>() : refused(taken);
     }
     const auto ticket = std::make_shared<PublicationTicket>(peer_lost_, head);
-    const auto taken = peers_.straight(lane, server, Traffic::Control, head, message,
-                                       PublicationTicket::follow(ticket, call), from);
+    const auto taken = peers_.toNeighbour(lane, server, Traffic::Control, head, message,
+                                          PublicationTicket::follow(ticket, call), from);
     if (PublicationTicket::returned(ticket)) return refused(taken);
     return {};
 }
 void IceFrontEndTopic::peerRefusal(Lane lane, const std::string& server, const Header& head,
                                    const Refusal& refusal) {
-    peers_.straight(
+    peers_.toNeighbour(
         lane, server, Traffic::Control, head, std::string_view(),
         forward<PeerPrx>(&PeerPrx::peerRefusalAsync, static_cast<int>(refusal.code), refusal.message));
 }

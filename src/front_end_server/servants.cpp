@@ -41,7 +41,7 @@ void IceClientOutbox::newBasicPrflMsg(Presence presence, const Registration& reg
 }
 
 void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
-    sender_.send(Traffic::Control, 0, forward<Prx>(&Prx::newStatusMsgAsync, toIce(status)));
+    sender_.send(Traffic::Control, textBytes(status), forward<Prx>(&Prx::newStatusMsgAsync, toIce(status)));
 }
 
 bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message,
@@ -106,41 +106,41 @@ Result<void> IceEntityTopic::clientMsg(const std::string& server, const Header& 
                                        std::string_view message) {
     const auto ticket = std::make_shared<PublicationTicket>(lost_, head);
     const bool taken =
-        publisher_.one(server, Traffic::Control, head, message,
-                       PublicationTicket::follow(ticket, forward<EntityPrx>(&EntityPrx::clientMsgAsync)),
-                       senderKey(head.sender.id));
+        publisher_.toOne(server, Traffic::Control, head, message,
+                         PublicationTicket::follow(ticket, forward<EntityPrx>(&EntityPrx::clientMsgAsync)),
+                         senderKey(head.sender.id));
     if (PublicationTicket::returned(ticket))
         return taken ? topicDown() : queueShareFull("the entity's server");
     return {};
 }
 void IceEntityTopic::clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) {
-    publisher_.one(server, Traffic::Data, head, data, forward<EntityPrx>(&EntityPrx::clientMsgDataSeqAsync),
-                   senderKey(head.sender.id));
+    publisher_.toOne(server, Traffic::Data, head, data, forward<EntityPrx>(&EntityPrx::clientMsgDataSeqAsync),
+                     senderKey(head.sender.id));
 }
 void IceEntityTopic::clientRequest(const Header& head) {
-    publisher_.data(Traffic::Control, head, std::string_view(),
-                    forward<EntityPrx>(&EntityPrx::clientRequestAsync));
+    publisher_.toAll(Traffic::Control, head, std::string_view(),
+                     forward<EntityPrx>(&EntityPrx::clientRequestAsync));
 }
 void IceEntityTopic::clientUpdate(const Header& head, ClientChange change) {
-    publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      forward<EntityPrx>(&EntityPrx::clientUpdateAsync, toIce(change)));
+    publisher_.signalToAll(Traffic::Signal, head, std::string_view(),
+                           forward<EntityPrx>(&EntityPrx::clientUpdateAsync, toIce(change)));
 }
 void IceEntityTopic::stopSignal(const Header& head, StopCause cause) {
-    publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      forward<EntityPrx>(&EntityPrx::stopSignalAsync, toIce(cause)));
+    publisher_.signalToAll(Traffic::Signal, head, std::string_view(),
+                           forward<EntityPrx>(&EntityPrx::stopSignalAsync, toIce(cause)));
 }
 void IceEntityTopic::stopSignals(const Header& head, const std::vector<std::string>& entities,
                                  StopCause cause) {
-    publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      forward<EntityPrx>(&EntityPrx::stopSignalsAsync, entities, toIce(cause)));
+    publisher_.signalToAll(Traffic::Signal, head, std::string_view(),
+                           forward<EntityPrx>(&EntityPrx::stopSignalsAsync, entities, toIce(cause)));
 }
 void IceEntityTopic::resetSignal(const Header& head) {
-    publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      forward<EntityPrx>(&EntityPrx::resetSignalAsync));
+    publisher_.signalToAll(Traffic::Signal, head, std::string_view(),
+                           forward<EntityPrx>(&EntityPrx::resetSignalAsync));
 }
 void IceEntityTopic::clearSignal(const Header& head) {
-    publisher_.signal(Traffic::Signal, head, std::string_view(),
-                      forward<EntityPrx>(&EntityPrx::clearSignalAsync));
+    publisher_.signalToAll(Traffic::Signal, head, std::string_view(),
+                           forward<EntityPrx>(&EntityPrx::clearSignalAsync));
 }
 void IceEntityTopic::frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) {
     publisher_.announce(

@@ -15,6 +15,8 @@
 #include <utility>
 #include <vector>
 
+#include "common/descriptor.hpp"
+
 namespace axon::global_services {
 namespace {
 
@@ -157,9 +159,9 @@ TEST_F(ServicesFolderTest, AFileThatIsWrittenWithoutATraceInTheMomentOfReadingIs
     const auto text = profile(service("Walk"));
     write("a.xml", text);
     // Stores into a page that is dirty already change neither the times nor the size.
-    const int file = ::open((folder / "a.xml").c_str(), O_RDWR);
+    const Descriptor file(::open((folder / "a.xml").c_str(), O_RDWR));
     auto* const page =
-        static_cast<char*>(::mmap(nullptr, text.size(), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0));
+        static_cast<char*>(::mmap(nullptr, text.size(), PROT_READ | PROT_WRITE, MAP_SHARED, file.get(), 0));
     ASSERT_NE(page, MAP_FAILED);
     page[0] = ' ';
     open();
@@ -168,7 +170,6 @@ TEST_F(ServicesFolderTest, AFileThatIsWrittenWithoutATraceInTheMomentOfReadingIs
     pass();
     EXPECT_THAT(files(), ElementsAre("a.xml: Walk"));
     ::munmap(page, text.size());
-    ::close(file);
 }
 
 TEST_F(ServicesFolderTest, AFileWithAnErrorOffersNothingAndTheOthersGoOn) {

@@ -81,19 +81,20 @@ TEST(LinkUsers, WhomTheKernelDoesNotNameIsRefused) {
 TEST(LinkUsers, AnotherUserIsRefusedAndToldWhatToWrite) {
     if (::geteuid() != 0) GTEST_SKIP() << "only root can be somebody else";
     const Listener listener;
-    int until[2];
-    ASSERT_EQ(::pipe(until), 0);
+    int ends[2];
+    ASSERT_EQ(::pipe(ends), 0);
+    Descriptor until(ends[0]), writing(ends[1]);
     const auto child = ::fork();
     if (child == 0) {
-        ::close(until[1]);
+        writing.reset();
         if (::setuid(kNobody) != 0) ::_exit(1);
         const auto client = listener.connect();
         char ignored = 0;
-        while (::read(until[0], &ignored, 1) > 0) {
+        while (::read(until.get(), &ignored, 1) > 0) {
         }
         ::_exit(0);
     }
-    ::close(until[0]);
+    until.reset();
     const auto accepted = listener.accept();
     const auto refused = LinkUsers().check(accepted.get());
     ASSERT_TRUE(refused);
@@ -101,7 +102,7 @@ TEST(LinkUsers, AnotherUserIsRefusedAndToldWhatToWrite) {
     EXPECT_THAT(refused->message, HasSubstr("the number 65534"));
     EXPECT_THAT(refused->message, HasSubstr("Axon.Users = 65534"));
     EXPECT_FALSE(LinkUsers::parse("nobody", "f")->check(accepted.get()));
-    ::close(until[1]);
+    writing.reset();
     int status = 0;
     ::waitpid(child, &status, 0);
     EXPECT_EQ(status, 0);

@@ -8,6 +8,8 @@
 #include <filesystem>
 #include <fstream>
 
+#include "common/descriptor.hpp"
+
 namespace axon {
 namespace {
 
@@ -77,7 +79,7 @@ TEST(SettingsFile, AFileThatCannotBeReadIsRefusedWithItsName) {
             AllOf(StartsWith(file), HasSubstr(": cannot be read; expected a file"), HasSubstr("fix: ")));
     }
     std::string name = std::filesystem::temp_directory_path() / "axon-settings-XXXXXX";
-    ::close(::mkstemp(name.data()));
+    Descriptor(::mkstemp(name.data())).reset();
     std::ofstream(name) << "a = b\n";
     EXPECT_THAT(readSettings(name).value(), ElementsAre(is("a", "b", name + ":1")));
     std::filesystem::remove(name);

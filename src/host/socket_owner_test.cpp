@@ -18,6 +18,8 @@
 #include <utility>
 #include <vector>
 
+#include "common/descriptor.hpp"
+
 namespace axon {
 namespace {
 
@@ -81,8 +83,8 @@ class Connection {
   public:
     enum class Kind { V4, V6, V4ByV6 };
     explicit Connection(Kind kind) {
-        listener_ = ::socket(kind == Kind::V6 ? AF_INET6 : AF_INET, SOCK_STREAM, 0);
-        peer = ::socket(kind == Kind::V4 ? AF_INET : AF_INET6, SOCK_STREAM, 0);
+        listener_ = Descriptor(::socket(kind == Kind::V6 ? AF_INET6 : AF_INET, SOCK_STREAM, 0));
+        peer_ = Descriptor(::socket(kind == Kind::V4 ? AF_INET : AF_INET6, SOCK_STREAM, 0));
         sockaddr_storage address{};
         socklen_t size = 0;
         if (kind == Kind::V6) {
@@ -96,9 +98,9 @@ class Connection {
             four.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
             size = sizeof four;
         }
-        usable = ::bind(listener_, reinterpret_cast<sockaddr*>(&address), size) == 0 &&
-                 ::listen(listener_, 1) == 0 &&
-                 ::getsockname(listener_, reinterpret_cast<sockaddr*>(&address), &size) == 0;
+        usable = ::bind(listener_.get(), reinterpret_cast<sockaddr*>(&address), size) == 0 &&
+                 ::listen(listener_.get(), 1) == 0 &&
+                 ::getsockname(listener_.get(), reinterpret_cast<sockaddr*>(&address), &size) == 0;
         if (kind == Kind::V4ByV6) {
             const auto port = reinterpret_cast<sockaddr_in&>(address).sin_port;
             auto& six = reinterpret_cast<sockaddr_in6&>(address);
@@ -108,22 +110,16 @@ class Connection {
             ::inet_pton(AF_INET6, "::ffff:127.0.0.1", &six.sin6_addr);
             size = sizeof six;
         }
-        usable = usable && ::connect(peer, reinterpret_cast<sockaddr*>(&address), size) == 0;
+        usable = usable && ::connect(peer_.get(), reinterpret_cast<sockaddr*>(&address), size) == 0;
         if (!usable) return;
-        server = ::accept(listener_, nullptr, nullptr);
-        from = nameOf(server, true);
-        to = nameOf(server, false);
+        server_ = Descriptor(::accept(listener_.get(), nullptr, nullptr));
+        from = nameOf(server_.get(), true);
+        to = nameOf(server_.get(), false);
     }
-    ~Connection() {
-        for (const int fd : {listener_, peer, server})
-            if (fd >= 0) ::close(fd);
-    }
-    Connection(const Connection&) = delete;
-    Connection& operator=(const Connection&) = delete;
-    void closePeer() { ::close(std::exchange(peer, -1)); }
+    bool accepted() const { return server_.open(); }
+    void closePeer() { peer_.reset(); }
 
     bool usable = false;
-    int peer = -1, server = -1;
     std::string from, to;  // as the server sees them
 
   private:
@@ -139,7 +135,7 @@ class Connection {
                     text.data(), text.size());
         return std::string(text.data()) + ":" + std::to_string(ntohs(is_six ? six.sin6_port : four.sin_port));
     }
-    int listener_ = -1;
+    Descriptor listener_, peer_, server_;
 };
 
 std::string tables() {
@@ -187,7 +183,7 @@ TEST(SocketOwner, IsFoundAsFastAmongThousandsOfSockets) {
     std::vector<std::unique_ptr<Connection>> others;
     while (others.size() < 2000) {
         auto other = std::make_unique<Connection>(Connection::Kind::V4);
-        if (!other->usable || other->server < 0) break;
+        if (!other->usable || !other->accepted()) break;
         others.push_back(std::move(other));
     }
     const auto timeOf = [](const auto& look) {

@@ -190,8 +190,8 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
         failed("not in users.cfg");
         return refuse(RefusalCode::PermissionDenied,
                       "the certificate is valid, but the server has no user '" + user +
-                          "'; fix: whoever runs the server gives '" + user +
-                          "' a role with axon-server --add-user, and restarts it");
+                          "'; fix: ask the administrator of the server to add '" + user +
+                          "' with axon-server --add-user, and to restart it");
     }
     if (!role) {
         guard_.failed(job.address, user);
@@ -199,8 +199,8 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
         return refuse(RefusalCode::PermissionDenied,
                       user.empty() ? "this server asks for a user and a password; fix: log in with those "
                                      "that its administrator gave you"
-                                   : "wrong user or password; fix: correct them, or ask whoever runs the "
-                                     "server to set a new password with axon-server --add-user");
+                                   : "wrong user or password; fix: correct them, or ask the administrator "
+                                     "of the server to set a new password with axon-server --add-user");
     }
     guard_.succeeded(job.address, user);
     auto who = admit(*role, job.door, user);

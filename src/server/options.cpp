@@ -15,6 +15,7 @@
 #include "server/version.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
+#include "transport/process/logging.hpp"
 
 namespace axon::server {
 namespace {
@@ -190,7 +191,7 @@ Parsed parseOptions(int argc, char** argv) {
     std::map<std::string, std::string> endpoints;
     Options options;
     app.add_option("--config", files,
-                   "Configuration file (frontendserver.cfg, entityserver.cfg) with lines KEY=VALUE; repeat "
+                   "Configuration file (frontendserver.cfg, entityserver.cfg) with lines KEY = VALUE; repeat "
                    "it for several files (docs/reference/server_configuration.md)");
     app.add_option("--listen", listen, "Address on which all ports listen (127.0.0.1)");
     app.add_option("--client-endpoint", endpoints["client"],
@@ -221,8 +222,11 @@ Parsed parseOptions(int argc, char** argv) {
                    "connects. Those need Server.Name and Server.TopicManager in their configuration")
         ->check(CLI::IsMember({"both", "front-end", "entity"}));
     app.add_option("--log-level", options.log_level,
-                   "Least severe messages to log: debug, info, warn or error")
-        ->check(CLI::IsMember({"debug", "info", "warn", "error"}));
+                   "Least severe messages to log: " + std::string(transport::kLogLevels) + " (info)")
+        ->check([](const std::string& level) {
+            return transport::isLogLevel(level) ? std::string()
+                                                : "expected " + std::string(transport::kLogLevels);
+        });
     try {
         app.parse(argc, argv);
     } catch (const CLI::ParseError& error) {

@@ -22,7 +22,7 @@ struct Parsed {
 };
 Parsed parseOptions(int argc, char** argv);
 
-/// Reads a file in Ice property syntax (frontendserver.cfg, entityserver.cfg) into the settings;
+/// Reads a settings file (docs/reference/settings_files.md) such as frontendserver.cfg into the settings;
 /// docs/reference/server_configuration.md lists the keys. Throws std::runtime_error naming file, key,
 /// what was expected and how to fix it.
 void readConfiguration(const std::string& file, ServerSettings& settings);

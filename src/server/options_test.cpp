@@ -47,6 +47,12 @@ TEST(ServerOptions, SaysWhatAddUserNeeds) {
     EXPECT_THAT(complaint({"--user-role", "admin"}), HasSubstr("for --add-user"));
 }
 
+TEST(ServerOptions, TheLogTakesBothSpellingsOfWarning) {
+    EXPECT_EQ(parse({"--log-level", "warning"}).options->log_level, "warning");
+    EXPECT_EQ(parse({"--log-level", "warn"}).options->log_level, "warn");
+    EXPECT_EQ(parse({"--log-level", "loud"}).exit_code, 2);
+}
+
 TEST(ServerOptions, OneOfSeveralServersNeedsANameAndTheTopicManager) {
     EXPECT_EQ(complaint({"--role", "both"}), "accepted");
     EXPECT_EQ(parse({"--role", "admin"}).exit_code, 2);

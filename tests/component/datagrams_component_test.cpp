@@ -5,16 +5,12 @@
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 
-#include <asio/thread_pool.hpp>
 #include <axon/client.hpp>
 
 #include "client/connection/datagram_sender.hpp"
-#include "component/memory_robot.hpp"
 #include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
-#include "entity_manager/entity_manager.hpp"
-#include "entity_manager/links/server/server_communicators.hpp"
-#include "server/server.hpp"
+#include "component/with_manager.hpp"
 #include "support/loopback.hpp"
 
 namespace axon {
@@ -24,8 +20,6 @@ using namespace std::chrono_literals;
 using client::DatagramSender;
 using datagrams::DatagramLane;
 using datagrams::Endpoint;
-using entity_manager::BackEndEvents;
-using entity_manager::EntityManager;
 using test::RawClient;
 using test::waitUntil;
 
@@ -92,53 +86,20 @@ class Relay {
     DatagramLane back_, front_;
 };
 
-class DatagramsTest : public ::testing::Test {
+class DatagramsTest : public test::WithManager {
   protected:
     void SetUp() override {
-        const auto any_port = test::loopbackAddress() + ":0";
-        server::ServerSettings settings;
-        settings.client_endpoint = settings.client_signal_endpoint = any_port;
-        settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-        server_ = std::make_unique<server::Server>(settings);
-        const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::EntityManagerCoreSettings core;
-        core.application = "peoplebot";
-        manager_ = EntityManager::create(
-            executor_.get_executor(), ice_, core,
-            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
-             "", ""},
-            [&](const EntityManager::Strand& strand, const entity_manager::StopGenerations&, const Clock&,
-                BackEndEvents& events) {
-                auto application = std::make_unique<test::MemoryRobot>(strand, events, seen_);
-                auto* const its = application.get();
-                return EntityManager::BackEnd{std::move(application), [its] { its->start(); }, [] {}};
-            },
-            clock_, random_, storage_, storage_);
+        startServer();
+        createManagerOfMemoryRobot();
         manager_->receiveDatagrams({true, "", 0}, clock_);
         manager_->start();
         ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
-    }
-    void TearDown() override {
-        if (manager_) manager_->stop();
-        ice_->destroy();  // its threads post to the executor
-        executor_.join();
-        manager_.reset();
     }
     static LeaseNumber numberOf(const proto::CheckOutReply& reply) {
         return {static_cast<std::int32_t>(reply.lease().epoch()),
                 static_cast<std::int32_t>(reply.lease().number())};
     }
     datagrams::StopSentry::Counters counters() const { return manager_->datagrams()->counters(); }
-
-    SteadyClock clock_;
-    SystemRandom random_;
-    test::MemoryStore storage_;
-    test::MemoryRobot::Seen seen_;
-    std::unique_ptr<server::Server> server_;
-    asio::thread_pool executor_{1};
-    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
-        std::make_shared<entity_manager::ServerCommunicators>(1, 1);
-    std::shared_ptr<EntityManager> manager_;
 };
 
 TEST_F(DatagramsTest, AStopArrivesByDatagramAloneThoughHalfOfThemAreLost) {
@@ -267,12 +228,9 @@ TEST_F(DatagramsTest, TheEndOfTheLeaseEndsItsDatagrams) {
 }
 
 TEST_F(DatagramsTest, TheClientLibrarySendsBothWaysAndTheRobotIsStoppedOnce) {
-    client::Options options;
-    options.server = server_->clientAddress(Lane::Data);
-    options.display_name = "client1@lab";
-    auto connected = client::Client::connect(options);
-    ASSERT_TRUE(connected.ok()) << connected.refusal().message;
-    auto& client = *connected.value();
+    client_ = connected({.display_name = "client1@lab"});
+    ASSERT_TRUE(client_);
+    auto& client = *client_;
     ASSERT_TRUE(client.waitFor("PeopleBot", client::Seconds{5}).ok());
     const auto held = client.checkOut("PeopleBot");
     ASSERT_TRUE(held.ok()) << held.refusal().message;

@@ -55,14 +55,15 @@ class DeviceGuardTest : public ::testing::Test {
         std::array<int, 2> ends{};
         ASSERT_EQ(::socketpair(AF_UNIX, SOCK_SEQPACKET, 0, ends.data()), 0);
         talk_ = Descriptor(ends[0]);
+        Descriptor other(ends[1]);
         application_ = ::fork();
         if (application_ == 0) {
             device_.reset();
             talk_.reset();
             ::dup2(errors, STDERR_FILENO);
-            serve(ends[1], its.get());
+            serve(other.get(), its.get());
         }
-        ::close(ends[1]);
+        other.reset();
         ASSERT_EQ(::recv(talk_.get(), &guard_, sizeof guard_, 0), static_cast<ssize_t>(sizeof guard_));
         ASSERT_GT(guard_, 0);
     }

@@ -6,16 +6,14 @@
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 
-#include <asio/thread_pool.hpp>
 #include <axon/client.hpp>
+#include <future>
 
-#include "component/memory_robot.hpp"
 #include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
+#include "component/with_manager.hpp"
 #include "direct/proof.hpp"
-#include "entity_manager/entity_manager.hpp"
-#include "entity_manager/links/server/server_communicators.hpp"
-#include "server/server.hpp"
+#include "support/lane_stranger.hpp"
 #include "support/loopback.hpp"
 #include "support/tcp_valve.hpp"
 
@@ -25,38 +23,16 @@ namespace {
 using namespace std::chrono_literals;
 using client::CheckOut;
 using client::Client;
-using entity_manager::BackEndEvents;
-using entity_manager::EntityManager;
 using test::RawClient;
 using test::TcpValve;
 using test::waitUntil;
 
-class DirectPathTest : public ::testing::Test {
+class DirectPathTest : public test::WithManager {
   protected:
-    void SetUp() override { startServer({}); }
-    void startServer(server::ServerSettings settings) {
-        const auto any_port = test::loopbackAddress() + ":0";
-        settings.client_endpoint = settings.client_signal_endpoint = any_port;
-        settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-        server_ = std::make_unique<server::Server>(settings);
-    }
+    void SetUp() override { startServer(); }
     /// Clients are told of relays where the Entity Manager listens: first that of data, then that of signals.
     void startManager(bool offered = true, bool with_valves = true) {
-        const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::EntityManagerCoreSettings core = core_;
-        core.application = "peoplebot";
-        manager_ = EntityManager::create(
-            executor_.get_executor(), ice_, core,
-            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
-             "", ""},
-            [&](const EntityManager::Strand& strand, const entity_manager::StopGenerations&, const Clock&,
-                BackEndEvents& events) {
-                auto application = std::make_unique<test::MemoryRobot>(strand, events, seen_);
-                application_ = application.get();
-                return EntityManager::BackEnd{std::move(application), [its = application_] { its->start(); },
-                                              [] {}};
-            },
-            clock_, random_, storage_, storage_);
+        createManagerOfMemoryRobot(core_);
         entity_manager::DirectSettings direct;
         direct.offered = offered;
         if (with_valves) {
@@ -69,23 +45,14 @@ class DirectPathTest : public ::testing::Test {
         manager_->start();
         ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
     }
-    void TearDown() override {
-        client_.reset();
-        if (manager_) manager_->stop();
-        ice_->destroy();
-        executor_.join();
-        manager_.reset();
-    }
     std::unique_ptr<Client> connect(bool direct = true, int paths = 64) {
         client::Options options;
-        options.server = server_->clientAddress(Lane::Data);
         options.display_name = "client1@lab";
         options.direct = direct;
         options.direct_paths = paths;
-        auto connected = Client::connect(options);
-        EXPECT_TRUE(connected.ok()) << connected.refusal().message;
-        EXPECT_TRUE(connected.value()->waitFor("PeopleBot", client::Seconds{5}).ok());
-        return std::move(connected).value();
+        auto client = connected(options);
+        EXPECT_TRUE(client && client->waitFor("PeopleBot", client::Seconds{5}).ok());
+        return client;
     }
     CheckOut take() {
         if (!client_) client_ = connect();
@@ -100,19 +67,8 @@ class DirectPathTest : public ::testing::Test {
         ASSERT_TRUE(waitUntil([&] { return held.sendText(text).ok(); }));
     }
 
-    SteadyClock clock_;
-    SystemRandom random_;
-    test::MemoryStore storage_;
-    test::MemoryRobot::Seen seen_;
     entity_manager::EntityManagerCoreSettings core_;  // of the Entity Manager
-    test::MemoryRobot* application_ = nullptr;
-    std::unique_ptr<server::Server> server_;
     std::vector<std::unique_ptr<TcpValve>> valves_;
-    asio::thread_pool executor_{1};
-    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
-        std::make_shared<entity_manager::ServerCommunicators>(1, 1);
-    std::shared_ptr<EntityManager> manager_;
-    std::unique_ptr<Client> client_;
 };
 
 TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
@@ -126,10 +82,31 @@ TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
     send(held, text);
     ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
     EXPECT_GT(directBytes(), before + 10000);
-    application_->text(text);
+    robot_->text(text);
     ASSERT_TRUE(waitUntil([&] { return heard == 1; }));
     EXPECT_GT(directBytes(), before + 20000);
     EXPECT_EQ(seen_.texts.front(), text);
+}
+
+TEST_F(DirectPathTest, ACallbackThatDoesNotReturnHoldsUpNoAnswer) {
+    startManager();
+    const auto held = take();
+    std::promise<void> entered, back;
+    std::atomic<int> heard{0};
+    held.onText([&](const std::string&) {
+        if (++heard != 1) return;
+        entered.set_value();
+        back.get_future().wait();
+    });
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    robot_->text("first");
+    entered.get_future().wait();
+    robot_->text("second");
+    EXPECT_EQ(held.run("Fly").report().reason.code, RefusalCode::UnknownService);
+    EXPECT_TRUE(direct(held)) << "the path ended instead";
+    EXPECT_EQ(heard, 1) << "two callbacks at once";
+    back.set_value();
+    ASSERT_TRUE(waitUntil([&] { return heard == 2; }));
 }
 
 TEST_F(DirectPathTest, TasksAndTheirRefusalsAreTheSameByEitherWay) {
@@ -183,7 +160,7 @@ TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesB
     const auto some = [&](int count) {
         for (int i = 0; i < count; ++i, ++sent) {
             send(held, content(sent));
-            application_->text(content(sent));
+            robot_->text(content(sent));
             if (sent % 256 == 0) {
                 ASSERT_TRUE(waitUntil([&] {
                     return heardCount() + 1000 > static_cast<std::size_t>(sent);
@@ -226,7 +203,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     for (const auto& valve : valves_) valve->hold(true);  // no end of a connection is told
     const auto begun = clock_.now();
     send(held, "client to robot");
-    application_->text("robot to client");
+    robot_->text("robot to client");
     std::atomic<bool> heard{false};
     held.onText([&](const std::string&) { heard = true; });
     ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1 && !held.direct() && !manager_->direct(); }));
@@ -241,7 +218,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
 }
 
 TEST_F(DirectPathTest, TheSessionsWithTheServerKeepTheirShortWatchdogsFedBesideThePath) {
-    server::ServerSettings settings;
+    auto settings = test::onLoopback();
     settings.front_end.watchdog_busy = 200ms;
     settings.front_end.watchdog_idle = 1000ms;
     startServer(settings);
@@ -280,7 +257,7 @@ TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt)
         if (to_robot) {
             send(held, "client to robot");
         } else {
-            application_->text("robot to client");
+            robot_->text("robot to client");
         }
         ASSERT_TRUE(waitUntil([&] { return to_robot ? seen_.count() == 1 : heard.load(); }));
         EXPECT_LT(clock_.now() - begun, direct::kWatchdogIdle / 2) << "the idle watchdog is not waited for";
@@ -425,7 +402,7 @@ TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
     }
     client_.reset();
     manager_->stop();
-    application_->awaitQuiet();
+    robot_->awaitQuiet();
     manager_.reset();
     startManager(false);
     const auto held = take();
@@ -435,7 +412,9 @@ TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
 }
 
 namespace slice = ::Axon::DirectComm;
+using test::LaneStranger;
 
+/// At the port of signals.
 class Stranger {
   public:
     explicit Stranger(const std::string& endpoint)
@@ -476,7 +455,6 @@ class Stranger {
   private:
     class Deaf final : public slice::DirectCallback {
         void newEntityMsg(slice::Head, transport::ByteRange, const Ice::Current&) override {}
-        void newEntityMsgDataSeq(slice::Head, transport::ByteRange, const Ice::Current&) override {}
         void newHeartbeat(double, bool, const Ice::Current&) override {}
     };
     Ice::CommunicatorHolder communicator_;
@@ -494,56 +472,73 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     const LeaseNumber lease{static_cast<std::int32_t>(granted.lease().epoch()),
                             static_cast<std::int32_t>(granted.lease().number())};
 
-    Stranger knocks(granted.direct_endpoint());
-    const auto right = [&] {
-        knocks.claim.lane = Lane::Data;
-        knocks.claim.lease = lease;
-        knocks.claim.client = Id128::parse(raw.facts.me.id).value();
-        knocks.claim.path = Id128::random(random_);
+    direct::Claim right{Lane::Data, lease, Id128::parse(raw.facts.me.id).value(), Id128::random(random_), {}};
+    const auto refused = [&](const direct::Claim& claim, const std::string& its_key) {
+        LaneStranger knocks(granted.direct_endpoint());
+        knocks.claim = claim;
+        knocks.awaitNonce();
+        const auto code = knocks.open(its_key);
+        EXPECT_TRUE(knocks.awaitClosed()) << "a connection is for one try";
+        return code;
     };
-    right();
-    EXPECT_EQ(knocks.open(key), RefusalCode::WrongState) << "without a challenge";
-    knocks.challenge();
-    EXPECT_EQ(knocks.open(Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
-    EXPECT_EQ(knocks.open(key), RefusalCode::WrongState) << "a nonce is for one try";
-    knocks.challenge();
-    ++knocks.claim.lease.number;
-    EXPECT_EQ(knocks.open(key), RefusalCode::PermissionDenied);
-    right();
-    knocks.challenge();
-    knocks.claim.client = Id128::uuid(random_);
-    EXPECT_EQ(knocks.open(key), RefusalCode::PermissionDenied);
-    right();
-    knocks.challenge();
-    knocks.claim.lane = Lane::Signal;
-    EXPECT_EQ(knocks.open(key), RefusalCode::Malformed) << "the other port is for that";
-    right();
-    knocks.challenge();
-    knocks.claim.path = Id128{};
-    EXPECT_EQ(knocks.open(key), RefusalCode::Malformed);
+    EXPECT_EQ(refused(right, Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
+    auto wrong = right;
+    ++wrong.lease.number;
+    EXPECT_EQ(refused(wrong, key), RefusalCode::PermissionDenied);
+    wrong = right;
+    wrong.client = Id128::uuid(random_);
+    EXPECT_EQ(refused(wrong, key), RefusalCode::PermissionDenied);
+    wrong = right;
+    wrong.lane = Lane::Signal;
+    EXPECT_EQ(refused(wrong, key), RefusalCode::PermissionDenied) << "the proof is for the other port";
+    wrong = right;
+    wrong.path = Id128{};
+    EXPECT_EQ(refused(wrong, key), RefusalCode::Malformed);
+    {
+        LaneStranger first(granted.direct_endpoint()), second(granted.direct_endpoint());
+        first.claim = second.claim = right;
+        const auto nonce = first.awaitNonce();
+        EXPECT_NE(second.awaitNonce(), nonce);
+        second.claim.nonce = nonce;
+        EXPECT_EQ(second.open(key), RefusalCode::PermissionDenied) << "a nonce is its connection's";
+    }
     {
         Stranger signals(granted.direct_signal_endpoint());
-        signals.claim = knocks.claim;
-        signals.claim.lane = Lane::Signal;
-        signals.claim.path = Id128::random(random_);
+        const auto set = [&] {
+            signals.claim = right;
+            signals.claim.lane = Lane::Signal;
+        };
+        set();
+        EXPECT_EQ(signals.open(key), RefusalCode::WrongState) << "without a challenge";
+        signals.challenge();
+        EXPECT_EQ(signals.open(Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
+        EXPECT_EQ(signals.open(key), RefusalCode::WrongState) << "a nonce is for one try";
+        signals.challenge();
+        signals.claim.lane = Lane::Data;
+        EXPECT_EQ(signals.open(key), RefusalCode::Malformed) << "the other port is for that";
+        set();
+        signals.challenge();
+        signals.claim.path = Id128{};
+        EXPECT_EQ(signals.open(key), RefusalCode::Malformed);
+        set();
         signals.challenge();
         EXPECT_EQ(signals.open(key), RefusalCode::WrongState) << "a signal lane alone";
     }
     EXPECT_FALSE(manager_->direct());
 
-    right();
-    knocks.challenge();
+    LaneStranger knocks(granted.direct_endpoint());
+    knocks.claim = right;
+    knocks.awaitNonce();
     ASSERT_EQ(knocks.open(key), RefusalCode::Ok);
-    EXPECT_TRUE(direct::proves(
-        {reinterpret_cast<const char*>(knocks.opened.proof.data()), knocks.opened.proof.size()}, knocks.claim,
-        direct::Prover::EntityManager, key));
+    EXPECT_TRUE(direct::proves(knocks.proof, knocks.claim, direct::Prover::EntityManager, key));
     // Half a path is none: what goes by it waits for ever.
     EXPECT_FALSE(manager_->direct());
-    // A session is its connection's alone.
-    Stranger thief(granted.direct_endpoint());
-    const auto stolen =
-        Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_connectionId("thief"));
-    EXPECT_THROW(stolen->sendToEntity({}, transport::toRange("x")), Ice::Exception);
+    // A path is its connections' alone.
+    LaneStranger thief(granted.direct_endpoint());
+    thief.awaitNonce();
+    thief.send(direct::Keeping::Kept, {}, "x");
+    EXPECT_EQ(thief.awaitAnswer(), RefusalCode::Malformed);
+    EXPECT_TRUE(thief.awaitClosed());
 
     // After the end of the lease the key opens nothing.
     proto::ToEntity body;
@@ -554,10 +549,7 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     const auto bytes = body.SerializeAsString();
     raw.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
     ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
-    Stranger late(granted.direct_endpoint());
-    late.claim = knocks.claim;
-    late.challenge();
-    EXPECT_EQ(late.open(key), RefusalCode::PermissionDenied);
+    EXPECT_EQ(refused(right, key), RefusalCode::PermissionDenied);
 }
 
 // The servers keep the record of who rearmed.
@@ -565,17 +557,21 @@ TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
     startManager(true, false);
     RawClient raw(server_->clientAddress(Lane::Data));
     const auto granted = test::checkOut(raw, manager_->uuid(), random_);
-    Stranger data(granted.direct_endpoint()), signals(granted.direct_signal_endpoint());
+    LaneStranger data(granted.direct_endpoint());
+    Stranger signals(granted.direct_signal_endpoint());
     const auto path = Id128::random(random_);
-    for (auto* lane : {&data, &signals}) {
-        lane->claim.lane = lane == &data ? Lane::Data : Lane::Signal;
-        lane->claim.lease = {static_cast<std::int32_t>(granted.lease().epoch()),
-                             static_cast<std::int32_t>(granted.lease().number())};
-        lane->claim.client = Id128::parse(raw.facts.me.id).value();
-        lane->claim.path = path;
-        lane->challenge();
-        ASSERT_EQ(lane->open(granted.lease().key()), RefusalCode::Ok);
-    }
+    data.claim = {Lane::Data,
+                  {static_cast<std::int32_t>(granted.lease().epoch()),
+                   static_cast<std::int32_t>(granted.lease().number())},
+                  Id128::parse(raw.facts.me.id).value(),
+                  path,
+                  {}};
+    data.awaitNonce();
+    ASSERT_EQ(data.open(granted.lease().key()), RefusalCode::Ok);
+    signals.claim = data.claim;
+    signals.claim.lane = Lane::Signal;
+    signals.challenge();
+    ASSERT_EQ(signals.open(granted.lease().key()), RefusalCode::Ok);
     proto::ToEntity mark;
     mark.mutable_way()->set_path(path.bytes());
     auto head = raw.headTo(manager_->uuid(), 900);
@@ -583,16 +579,14 @@ TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
     head.held = data.claim.lease;
     const auto bytes = mark.SerializeAsString();
     raw.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
-    double sequence = 1000;
+    std::int64_t sequence = 1000;
     const auto send = [&](const char* msg_type, const proto::ToEntity& message) {
-        slice::Head its;
-        its.msgType = msg_type;
-        its.held = {data.claim.lease.epoch, data.claim.lease.number};
-        its.stopGeneration = 1;
-        its.seq = ++sequence;
-        const auto its_bytes = message.SerializeAsString();
-        Ice::uncheckedCast<slice::DirectSessionPrx>(data.opened.session->ice_oneway())
-            ->sendToEntity(its, transport::toRange(its_bytes));
+        Header its;
+        its.msg_type = msg_type;
+        its.held = data.claim.lease;
+        its.stop_generation = 1;
+        its.sequence = ++sequence;
+        data.send(direct::Keeping::Kept, its, message.SerializeAsString());
     };
     client_ = connect(false);
     ASSERT_TRUE(client_->stop({"PeopleBot"}).ok());

@@ -25,8 +25,9 @@
 #include <thread>
 #include <utility>
 
+#include "common/descriptor.hpp"
+#include "common/frame.hpp"
 #include "common/ids.hpp"
-#include "entity_interfacer/frame.hpp"
 #include "entity_manager/links/back_end/back_end_interface.hpp"
 #include "support/loopback.hpp"
 
@@ -269,13 +270,10 @@ class Stops {
 /// A plain TCP client or server of a test that misbehaves.
 class RawSocket {
   public:
-    explicit RawSocket(int fd = ::socket(AF_INET, SOCK_STREAM, 0)) : fd_(fd) {
+    explicit RawSocket(Descriptor socket = Descriptor(::socket(AF_INET, SOCK_STREAM, 0)))
+        : socket_(std::move(socket)) {
         timeval time{5, 0};
-        ::setsockopt(fd_, SOL_SOCKET, SO_RCVTIMEO, &time, sizeof time);
-    }
-    RawSocket(RawSocket&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-    ~RawSocket() {
-        if (fd_ >= 0) ::close(fd_);
+        ::setsockopt(fd(), SOL_SOCKET, SO_RCVTIMEO, &time, sizeof time);
     }
     static sockaddr_in address(std::uint16_t port) {
         sockaddr_in a{};
@@ -286,16 +284,16 @@ class RawSocket {
     }
     bool connect(std::uint16_t port) {
         const auto a = address(port);
-        return ::connect(fd_, reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0;
+        return ::connect(fd(), reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0;
     }
     bool listen(std::uint16_t port) {
         const auto a = address(port);
         const int on = 1;
-        ::setsockopt(fd_, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
-        return ::bind(fd_, reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0 && ::listen(fd_, 16) == 0;
+        ::setsockopt(fd(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+        return ::bind(fd(), reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0 && ::listen(fd(), 16) == 0;
     }
-    RawSocket accept() { return RawSocket(::accept(fd_, nullptr, nullptr)); }
-    void write(const std::string& bytes) { (void)::send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL); }
+    RawSocket accept() { return RawSocket(Descriptor(::accept(fd(), nullptr, nullptr))); }
+    void write(const std::string& bytes) { (void)::send(fd(), bytes.data(), bytes.size(), MSG_NOSIGNAL); }
     void write(const proto::EmToEi& message) {
         std::string frame;
         appendFrame(frame, message.SerializeAsString());
@@ -306,7 +304,7 @@ class RawSocket {
         std::string payload;
         while (!reader_.next(payload)) {
             char bytes[4096];
-            const auto got = ::recv(fd_, bytes, sizeof bytes, 0);
+            const auto got = ::recv(fd(), bytes, sizeof bytes, 0);
             if (got <= 0) return std::nullopt;
             reader_.feed({bytes, static_cast<std::size_t>(got)});
         }
@@ -317,14 +315,15 @@ class RawSocket {
     bool closedByPeer() {
         char byte = 0;
         while (true) {
-            const auto got = ::recv(fd_, &byte, 1, 0);
+            const auto got = ::recv(fd(), &byte, 1, 0);
             if (got > 0) continue;
             return got == 0 || errno == ECONNRESET;
         }
     }
 
   private:
-    int fd_;
+    int fd() const { return socket_.get(); }
+    Descriptor socket_;
     FrameReader reader_;
 };
 

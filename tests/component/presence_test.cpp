@@ -6,16 +6,13 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
-#include <asio/thread_pool.hpp>
 #include <axon/entity_interfacer.hpp>
 #include <filesystem>
 #include <fstream>
 #include <mutex>
 
 #include "client/axon/client.hpp"
-#include "component/memory_robot.hpp"
-#include "entity_manager/links/server/server_communicators.hpp"
-#include "server/server.hpp"
+#include "component/with_manager.hpp"
 #include "support/log_lines.hpp"
 #include "support/loopback.hpp"
 
@@ -23,7 +20,6 @@ namespace axon {
 namespace {
 
 using namespace std::chrono_literals;
-using client::Client;
 using client::Entity;
 using client::Listed;
 using entity_manager::EntityManager;
@@ -44,21 +40,14 @@ std::shared_ptr<test::LogLines> catchLog() {
 }
 const std::shared_ptr<test::LogLines> kLog = catchLog();
 
-class PresenceTest : public ::testing::Test {
+class PresenceTest : public test::WithManager {
   protected:
     void SetUp() override {
         kLog->clear();
         std::filesystem::create_directories(folder_);
-        const auto any_port = test::loopbackAddress() + ":0";
-        server::ServerSettings settings;
-        settings.client_endpoint = settings.client_signal_endpoint = any_port;
-        settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-        server_ = std::make_unique<server::Server>(settings);
-        client::Options options;
-        options.server = server_->clientAddress(Lane::Data);
-        auto connected = Client::connect(options);
-        ASSERT_TRUE(connected.ok()) << connected.refusal().message;
-        client_ = std::move(connected).value();
+        startServer();
+        client_ = connected();
+        ASSERT_TRUE(client_);
         client_->onEntity([this](Presence presence, const Entity& entity) {
             const std::lock_guard lock(mutex_);
             if (presence != Presence::Changed)
@@ -68,15 +57,11 @@ class PresenceTest : public ::testing::Test {
     void TearDown() override {
         client_.reset();
         application_.reset();
-        if (manager_) manager_->stop();
-        ice_->destroy();
-        executor_.join();
-        manager_.reset();
+        WithManager::TearDown();
         std::error_code ignored;
         std::filesystem::remove_all(folder_, ignored);
     }
     void startManager(const std::string& application) {
-        const auto at = server_->entityAddress(Lane::Data);
         entity_manager::EntityManagerCoreSettings core;
         core.application = application;
         core.profiles_within = 50ms;
@@ -84,11 +69,7 @@ class PresenceTest : public ::testing::Test {
         link.application = application;
         link.where = {{5500, 5600}, test::loopbackAddress()};
         link.report_after = 20ms;
-        manager_ = EntityManager::create(
-            executor_.get_executor(), ice_, core,
-            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
-             "", ""},
-            EntityManager::overTcp(link, random_), clock_, random_, storage_, storage_);
+        createManager(core, EntityManager::overTcp(link, random_));
         manager_->start();
     }
     void startApplication(const char* basic, const char* services) {
@@ -135,16 +116,7 @@ class PresenceTest : public ::testing::Test {
 
     const std::filesystem::path folder_ =
         std::filesystem::temp_directory_path() / ("axon-presence-" + std::to_string(::getpid()));
-    SteadyClock clock_;
-    SystemRandom random_;
-    test::MemoryStore storage_;
-    std::unique_ptr<server::Server> server_;
-    asio::thread_pool executor_{1};
-    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
-        std::make_shared<entity_manager::ServerCommunicators>(1, 1);
-    std::shared_ptr<EntityManager> manager_;
     std::unique_ptr<EntityInterfacer> application_;
-    std::unique_ptr<Client> client_;
     std::mutex mutex_;
     std::string log_;
     std::vector<std::string> told_;
@@ -215,19 +187,14 @@ TEST_F(PresenceTest, AProfileThatIsEditedWhileTheEntityIsHeldArrivesAtItsRelease
 }
 
 TEST_F(PresenceTest, AServerThatIsNotReachableIsReportedBeforeAnyApplicationIsThere) {
-    const auto gone = server_->entityAddress(Lane::Data);
     client_.reset();
-    std::unique_ptr<server::Server> ended = std::move(server_);
-    const auto port = static_cast<std::uint16_t>(std::stoi(gone.substr(gone.rfind(':') + 1)));
-    ended.reset();
+    server_.reset();
     entity_manager::EntityManagerCoreSettings core;
     core.application = "greeter";
     entity_manager::BackEndSettings link;
     link.application = "greeter";
     link.where = {{5500, 5600}, test::loopbackAddress()};
-    manager_ =
-        EntityManager::create(executor_.get_executor(), ice_, core, {test::loopbackAddress(), port, "", ""},
-                              EntityManager::overTcp(link, random_), clock_, random_, storage_, storage_);
+    createManager(core, EntityManager::overTcp(link, random_));
     manager_->start();
     EXPECT_TRUE(waitUntil([&] { return kLog->has("no session with the entity server"); })) << kLog->all();
 }

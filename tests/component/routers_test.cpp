@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// A server behind real glacier2router processes, with peers that speak the bare contracts.
+// A server behind real glacier2router processes, with peers that speak the bare contracts and with an Entity
+// Manager's way to the server.
 #include <gtest/gtest.h>
 
 #include <fcntl.h>
@@ -8,12 +9,20 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <axon/messages.pb.h>
+#include <axon/profile.pb.h>
+#include <asio/io_context.hpp>
+#include <asio/post.hpp>
+#include <asio/strand.hpp>
 #include <chrono>
 #include <fstream>
 #include <optional>
 #include <sstream>
+#include <thread>
 
 #include "component/raw_peers.hpp"
+#include "entity_manager/links/server/entity_communicator.hpp"
+#include "entity_manager/links/server/server_communicators.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
 
@@ -216,6 +225,89 @@ TEST(TwoServersBehindRouters, TheSecondSessionGoesToTheServerThatHasTheFirst) {
         const auto refusal = transport::translate(std::current_exception());
         EXPECT_NE(refusal.message.find("Server.Peer.fe2"), std::string::npos) << refusal.message;
     }
+}
+
+/// Of an Entity Manager whose entity is registered as soon as there is a session.
+class Registering final : public entity_manager::ServerEvents {
+  public:
+    void serverUp() override {
+        Registration registration;
+        registration.entity = kEntity;
+        registration.name = "Robot";
+        way->sendBasicPrfl(registration, {});
+    }
+    void serverDown(const std::string&) override {}
+    void clientMsg(Lane, Header head, std::string) override { log.add("msg " + head.sender.name); }
+    void clientMsgDataSeq(Header, std::string) override {}
+    void stopSignal(Header, StopCause) override { log.add("stop"); }
+    void resetSignal(Header) override {}
+    void clearSignal(Header) override {}
+    void clientUpdate(Header, ClientChange) override {}
+    void serverHeartbeat() override {}
+    void undeliverable(Lane, Header, const Refusal&) override {}
+
+    Log log;
+    std::unique_ptr<entity_manager::EntityCommunicator> way;  // of the strand
+};
+
+TEST(AnEntityManagerBehindARouter, SendsInItsOrderAndItsLeaveComesAfterAllOfIt) {
+    const server::Server server(settings());
+    const Router router(server.entityRouterAddress());
+    RawClient client(server.clientAddress(Lane::Data));
+    const SteadyClock clock{};
+    asio::io_context executor;
+    const auto work = asio::make_work_guard(executor);
+    const auto strand = asio::make_strand(executor);
+    std::thread thread([&] { executor.run(); });
+    const auto ice = std::make_shared<entity_manager::ServerCommunicators>();
+    const auto manager = std::make_shared<Registering>();
+    entity_manager::ServerAddress address;
+    address.user = address.password = "robot";
+    address.router = router.proxy;
+    asio::post(strand, [&] {
+        manager->way =
+            std::make_unique<entity_manager::EntityCommunicator>(strand, ice, address, clock, manager);
+        manager->way->wantConnection(true);
+    });
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kEntity); }));
+    client.text(kEntity, "hello");
+    client.stop(kEntity);
+    EXPECT_TRUE(waitUntil([&] { return manager->log.has("msg client1@lab") && manager->log.has("stop"); }));
+
+    Header head;
+    head.sender.id = client.facts.me.id;
+    head.msg_type = kMsgText;
+    asio::post(strand, [&] {
+        EntityStatus status;
+        status.entity = kEntity;
+        status.state = EntityState::IDLE;
+        manager->way->sendStatus(status);
+        manager->way->sendToClientBytes(Lane::Signal, head, "receipt");
+    });
+    EXPECT_TRUE(waitUntil([&] {
+        return client.log.has(std::string("status ") + kEntity + " IDLE") &&
+               client.log.has(std::string("signal msg ") + kEntity + " receipt");
+    }));
+
+    constexpr int kMessages = 300;  // 2.3 MiB: nine windows of the outbox
+    asio::post(strand, [&] {
+        for (int i = 0; i < kMessages; ++i)
+            manager->way->sendToClientBytes(Lane::Data, head,
+                                            std::to_string(i) + " " + std::string(8000, 'x'));
+        manager->way->wantConnection(false);
+    });
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("left Robot"); }));
+    int expected = 0;
+    for (const auto& line : client.log.lines()) {
+        if (line.rfind("data msg ", 0) != 0) continue;
+        const auto beginning = std::string("data msg ") + kEntity + " " + std::to_string(expected++) + " ";
+        EXPECT_EQ(line.substr(0, beginning.size()), beginning);
+    }
+    EXPECT_EQ(expected, kMessages);
+    asio::post(strand, [&] { manager->way.reset(); });
+    ice->destroy();
+    executor.stop();
+    thread.join();
 }
 
 }  // namespace

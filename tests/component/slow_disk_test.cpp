@@ -9,7 +9,6 @@
 #include <stdlib.h>
 
 #include <array>
-#include <asio/thread_pool.hpp>
 #include <axon/client.hpp>
 #include <axon/entity_interfacer.hpp>
 #include <fstream>
@@ -17,12 +16,10 @@
 #include <sstream>
 #include <thread>
 
-#include "entity_manager/entity_manager.hpp"
-#include "entity_manager/links/server/server_communicators.hpp"
+#include "component/with_manager.hpp"
 #include "entity_manager/storage/file_journal.hpp"
 #include "entity_manager/storage/file_resources.hpp"
 #include "entity_manager/storage/file_storage.hpp"
-#include "server/server.hpp"
 #include "support/loopback.hpp"
 #include "support/slow_disk.hpp"
 
@@ -31,7 +28,6 @@ namespace {
 
 using namespace std::chrono_literals;
 namespace fs = std::filesystem;
-using client::Client;
 using entity_manager::EntityManager;
 using test::waitUntil;
 using testing::ElementsAre;
@@ -75,7 +71,7 @@ std::string contentOf(const fs::path& file) {
     return text.str();
 }
 
-class SlowDiskTest : public testing::Test {
+class SlowDiskTest : public test::WithManager {
   protected:
     SlowDiskTest() {
         char name[] = "/tmp/axon-slow-XXXXXX";
@@ -85,16 +81,11 @@ class SlowDiskTest : public testing::Test {
         test::makeSlow(folder_ / "state", 0ms);
     }
     void SetUp() override {
-        const auto any_port = test::loopbackAddress() + ":0";
-        server::ServerSettings settings;
-        settings.client_endpoint = settings.client_signal_endpoint = any_port;
-        settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-        server_ = std::make_unique<server::Server>(settings);
+        startServer();
         startApplication();
-        storage_ = std::make_unique<entity_manager::FileStorage>(folder_ / "state");
+        files_of_state_ = std::make_unique<entity_manager::FileStorage>(folder_ / "state");
         resources_ = std::make_unique<entity_manager::FileResourceStore>(folder_ / "state");
         journal_ = std::make_unique<entity_manager::FileJournal>(folder_ / "state");
-        const auto at = server_->entityAddress(Lane::Data);
         entity_manager::EntityManagerCoreSettings core;
         core.application = "slow";
         core.server_watchdog_busy = kWatchdog;
@@ -103,31 +94,20 @@ class SlowDiskTest : public testing::Test {
         link.manager = "slow disk test";
         link.watchdog_busy = link.watchdog_idle = kWatchdog;
         link.where.address = test::loopbackAddress();
-        manager_ = EntityManager::create(
-            executor_.get_executor(), ice_, core,
-            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
-             "", ""},
-            EntityManager::overTcp(link, random_), clock_, random_, *storage_, *resources_, journal_.get());
+        createManager(core, EntityManager::overTcp(link, random_), *files_of_state_, *resources_,
+                      journal_.get());
         manager_->start();
-        client::Options options;
-        options.server = server_->clientAddress(Lane::Data);
-        options.display_name = "user@host";
-        auto connected = Client::connect(options);
-        ASSERT_TRUE(connected.ok()) << connected.refusal().message;
-        client_ = std::move(connected).value();
+        client_ = connected({.display_name = "user@host"});
+        ASSERT_TRUE(client_);
         ASSERT_TRUE(client_->waitFor("Rover", client::Seconds{10}).ok());
     }
     void TearDown() override {
         test::makeSlow(folder_ / "state", 0ms);
-        client_.reset();
-        if (manager_) manager_->stop();
-        ice_->destroy();
-        executor_.join();
-        manager_.reset();
+        WithManager::TearDown();
         application_.reset();
         journal_.reset();
         resources_.reset();
-        storage_.reset();
+        files_of_state_.reset();
         server_.reset();
         spdlog::set_default_logger(before_);
         fs::remove_all(folder_);
@@ -181,18 +161,10 @@ class SlowDiskTest : public testing::Test {
     std::mutex mutex_;
     std::vector<std::string> found_;  // guarded by mutex_: the beginning of each map that Find was given
     int files_ = 0;
-    SteadyClock clock_;
-    SystemRandom random_;
-    std::unique_ptr<server::Server> server_;
     std::unique_ptr<EntityInterfacer> application_;
-    std::unique_ptr<entity_manager::FileStorage> storage_;
+    std::unique_ptr<entity_manager::FileStorage> files_of_state_;
     std::unique_ptr<entity_manager::FileResourceStore> resources_;
     std::unique_ptr<entity_manager::FileJournal> journal_;
-    asio::thread_pool executor_{1};
-    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
-        std::make_shared<entity_manager::ServerCommunicators>(1, 1);
-    std::shared_ptr<EntityManager> manager_;
-    std::unique_ptr<Client> client_;
 };
 
 TEST_F(SlowDiskTest, NoRobotStopsAndNoWatchdogWarnsWhateverTheDiskHoldsUp) {

@@ -33,7 +33,7 @@ import Ice  # noqa: E402
 from Axon import CommUtil, FrontEndComm  # noqa: E402
 from axon import lease_pb2, messages_pb2, profile_pb2, refusal_pb2, status_pb2, task_pb2  # noqa: E402
 from client import Client  # noqa: E402
-from direct_path import CLIENT, MANAGER, Way, proof  # noqa: E402
+from direct_path import CLIENT, KEPT, MANAGER, Refused, Way, frame, proof  # noqa: E402
 
 Receipt = status_pb2.StopReceipt
 State = CommUtil.EntityState
@@ -489,7 +489,7 @@ class PythonClientTest(unittest.TestCase):
         if grant.latched:
             self.rearm(client, entity)
         self.assertTrue(grant.direct_endpoint and grant.direct_signal_endpoint)
-        with self.assertRaises(CommUtil.RequestRefused) as refused:
+        with self.assertRaises(Refused) as refused:
             Way(client, entity, grant, key=b"0123456789abcdef")
         self.assertEqual(refused.exception.code, refusal_pb2.PERMISSION_DENIED)
         way = Way(client, entity, grant)
@@ -513,7 +513,7 @@ class PythonClientTest(unittest.TestCase):
         stop_id = f"{client.facts.me.id}:{int(head.seq)}"
         lanes = {by(lambda message: message.receipt.stop_id == stop_id and message.receipt.stage == Receipt.STANDSTILL)[0] for _ in range(2)}
         self.assertEqual(lanes, {"direct", "signal"}, "receipts come both ways")
-        way.data.sendToEntity(way.head("x" * 1025), b"")
+        way.data.socket.sendall(frame(KEPT, b"too short for a head"))
         self.assertTrue(way.closed.wait(5), "a malformed header ends the path")
         self.rearm(client, entity)
         self.assert_alive(client, entity)

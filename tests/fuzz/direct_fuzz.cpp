@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // Whatever is said at an Entity Manager's doors for direct paths, by strangers and by the holder itself:
 // nobody gets in without the key, what passes has the holder as its sender and passes once and in order, and
-// strangers do not end the holder's path. The calls go through Ice, over loopback. The input is calls of a
-// byte for whom they are made to, a byte for the operation, two for the length, then what Ice calls the
-// encapsulation's content (to the servers' way and for openings: see below).
+// strangers do not end the holder's path. All goes over loopback, signals through Ice. The input is sayings
+// of a byte for whom they are said to, a byte for the operation, two for the length, then what Ice calls the
+// encapsulation's content, or what goes into a data lane: bytes as they are, or the content of a frame whose
+// kind is the operation (to the servers' way and for openings: see below).
 #include <Ice/Ice.h>
 #include <axon/directcomm.h>
 #include <axon/messages.pb.h>
 #include <spdlog/spdlog.h>
 
 #include <array>
+#include <asio/strand.hpp>
+#include <asio/thread_pool.hpp>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -23,6 +26,7 @@
 #include "entity_manager/links/direct/direct_desk.hpp"
 #include "entity_manager/links/direct/direct_door.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
+#include "support/lane_stranger.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/convert.hpp"
 
@@ -35,6 +39,7 @@ namespace slice = ::Axon::DirectComm;
 const std::string kEntity = "00000000-0000-4000-8000-000000000001";
 const Sender kHolder{"11111111-1111-4111-8111-111111111111", "honest@lab", Role::Operator};
 const std::string kHolderUuid = "11111111-1111-4111-8111-111111111111";
+// Two of them are of the edition before.
 const std::vector<std::string> kOperations{"challenge",           "open",           "sendToEntity",
                                            "sendToEntityDataSeq", "sendStopSignal", "sendResetSignal",
                                            "sendClearSignal",     "keepAlive"};
@@ -82,9 +87,9 @@ class Events final : public DirectEvents {
                 "nobody is let in without the key");
         require(!admitted || honest, "a stranger is not let in");
     }
-    void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override {
+    bool directMsg(const Id128& path, direct::Keeping keeping, Header& head, std::string& bytes) override {
         const std::lock_guard lock(mutex);
-        if (manager == nullptr) return;
+        if (manager == nullptr) return true;
         require(head.sender.id == kHolder.id && head.entity == kEntity,
                 "who sends is who the lane was opened for");
         const auto sequence = head.sequence;
@@ -93,7 +98,9 @@ class Events final : public DirectEvents {
             require(!direct::alwaysRelayed(msg_type), "what the servers must see comes by them");
             passed(keeping, sequence);
         }
+        return true;
     }
+    void directTurnEnded() override {}
     void directStop(Header head, StopCause cause) override {
         require(head.sender.id == kHolder.id && head.entity == kEntity,
                 "who stops is who the lane was opened for");
@@ -126,14 +133,13 @@ class Events final : public DirectEvents {
 
 class Deaf final : public slice::DirectCallback {
     void newEntityMsg(slice::Head, transport::ByteRange, const Ice::Current&) override {}
-    void newEntityMsgDataSeq(slice::Head, transport::ByteRange, const Ice::Current&) override {}
     void newHeartbeat(double, bool, const Ice::Current&) override {}
 };
 
-/// One of the two lanes at whoever knocks.
+/// The signal lane at whoever knocks.
 class Knocker {
   public:
-    Knocker(Ice::Communicator& communicator, const std::string& endpoint, Lane lane) : lane_(lane) {
+    Knocker(Ice::Communicator& communicator, const std::string& endpoint) {
         adapter_ = communicator.createObjectAdapter("");
         adapter_->activate();
         callback_ =
@@ -152,7 +158,7 @@ class Knocker {
     std::shared_ptr<Ice::ObjectPrx> open(direct::Claim claim, const std::string& key,
                                          std::uint8_t spoilt = 255) {
         const auto nonce = gate_->challenge();
-        claim.lane = lane_;
+        claim.lane = Lane::Signal;
         claim.nonce = Id128::fromBytes({reinterpret_cast<const char*>(nonce.data()), nonce.size()}).value();
         auto proof = direct::proofOf(claim, direct::Prover::Client, key);
         if (spoilt < proof.size()) proof[spoilt] = static_cast<char>(proof[spoilt] ^ 1);
@@ -171,36 +177,49 @@ class Knocker {
     const std::shared_ptr<slice::DirectGatePrx>& gate() const { return gate_; }
 
   private:
-    const Lane lane_;
     std::shared_ptr<Ice::ObjectAdapter> adapter_;
     std::shared_ptr<slice::DirectCallbackPrx> callback_;
     std::shared_ptr<slice::DirectGatePrx> gate_;
 };
 
-/// What all runs share: doors that are open, and connections that are there.
+/// A data lane of the holder's, or whoever tries to open one; `spoilt`: a byte of the proof.
+std::unique_ptr<test::LaneStranger> knock(const std::string& endpoint, const direct::Claim& claim,
+                                          const std::string& key, RefusalCode& answer,
+                                          std::uint8_t spoilt = 255) {
+    auto lane = std::make_unique<test::LaneStranger>(endpoint);
+    lane->claim = claim;
+    lane->awaitNonce();
+    auto proof = direct::proofOf(lane->claim, direct::Prover::Client, key);
+    if (spoilt < proof.size()) proof[spoilt] = static_cast<char>(proof[spoilt] ^ 1);
+    lane->say(lane->claimFrame(proof));
+    answer = lane->awaitAnswer();
+    return lane;
+}
+
+/// What all runs share: doors that are open, and the connections of signal lanes.
 struct Place {
     Place() {
         spdlog::set_level(spdlog::level::off);
-        door = std::make_unique<DirectDoor>(*ice, "127.0.0.1", DirectPorts{}, kEntity, clock, events);
+        door = std::make_unique<DirectDoor>(strand, *ice, "127.0.0.1", DirectPorts{}, kEntity, clock, events);
         communicator = transport::makeCommunicator({"axon-fuzz", Lane::Data, 1, 1, quiet()});
-        for (const auto who : {0, 1}) {
-            data[static_cast<std::size_t>(who)] =
-                std::make_unique<Knocker>(*communicator.communicator(), door->dataEndpoint(), Lane::Data);
-            signal[static_cast<std::size_t>(who)] =
-                std::make_unique<Knocker>(*communicator.communicator(), door->signalEndpoint(), Lane::Signal);
-        }
+        for (auto& knocker : signal)
+            knocker = std::make_unique<Knocker>(*communicator.communicator(), door->signalEndpoint());
     }
     ~Place() {
         communicator->destroy();
         ice->destroy();
+        executor.stop();
+        executor.join();
     }
     SteadyClock clock;
     SeededRandom random{1};
+    asio::thread_pool executor{1};
+    const asio::strand<asio::any_io_executor> strand{executor.get_executor()};
     const std::shared_ptr<ServerCommunicators> ice = std::make_shared<ServerCommunicators>(1, 1, quiet());
     const std::shared_ptr<Events> events = std::make_shared<Events>();
     std::unique_ptr<DirectDoor> door;
     Ice::CommunicatorHolder communicator;
-    std::array<std::unique_ptr<Knocker>, 2> data, signal;  // of the holder, and of a stranger
+    std::array<std::unique_ptr<Knocker>, 2> signal;  // of the holder, and of a stranger
 };
 
 void call(const std::shared_ptr<Ice::ObjectPrx>& whom, const std::string& operation,
@@ -222,8 +241,7 @@ void call(const std::shared_ptr<Ice::ObjectPrx>& whom, const std::string& operat
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
     static Place place;
     auto& events = *place.events;
-    for (const auto* lanes : {&place.data, &place.signal})
-        for (const auto& knocker : *lanes) knocker->renew();
+    for (const auto& knocker : place.signal) knocker->renew();
     Manager manager;
     manager.held.number = {3, 7};
     manager.held.key = Id128::random(place.random);
@@ -236,7 +254,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     direct::Claim claim{
         Lane::Data, manager.held.number, Id128::parse(kHolderUuid).value(), Id128::random(place.random), {}};
     const std::string key = manager.held.key.bytes();
-    const auto by_data = place.data[0]->open(claim, key), by_signal = place.signal[0]->open(claim, key);
+    auto answer = RefusalCode::Internal;
+    const auto by_data = knock(place.door->dataEndpoint(), claim, key, answer);
+    require(answer == RefusalCode::Ok, "the holder is let in");
+    const auto by_signal = place.signal[0]->open(claim, key);
+    std::unique_ptr<test::LaneStranger> stranger;
+    const auto say = [](test::LaneStranger& to, std::uint8_t kind, const std::string& content) {
+        to.say(kind >= 128 ? content : direct::lane::frameOf(static_cast<direct::lane::Kind>(kind), content));
+    };
     const auto deliver = [&](const Header& head, const std::string&) {
         events.passed(direct::Keeping::Kept, head.sequence);
     };
@@ -274,14 +299,15 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         const auto& operation = kOperations[kind % kOperations.size()];
         switch (door) {
             case 0:
-                call(place.data[1]->gate(), operation, content);
+                if (!stranger) stranger = std::make_unique<test::LaneStranger>(place.door->dataEndpoint());
+                say(*stranger, kind, content);
                 break;
             case 1:
                 call(place.signal[1]->gate(), operation, content);
                 break;
             case 2:
                 holder_is_odd = true;
-                call(by_data, operation, content);
+                say(*by_data, kind, content);
                 break;
             case 3:
                 holder_is_odd = true;
@@ -321,8 +347,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                         spoilt = static_cast<std::uint8_t>(kind % 32);
                         break;
                 }
+                if (door == 5) {
+                    knock(place.door->dataEndpoint(), wrong, its_key, answer, spoilt);
+                    require(answer != RefusalCode::Ok, "whoever gets something wrong is refused");
+                    break;
+                }
                 try {
-                    (door == 5 ? place.data : place.signal)[1]->open(wrong, its_key, spoilt);
+                    place.signal[1]->open(wrong, its_key, spoilt);
                     require(false, "whoever gets something wrong is refused");
                 } catch (const Ice::UserException&) {
                 } catch (const Ice::LocalException&) {  // its connection was closed
@@ -330,8 +361,17 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
             }
         }
     }
+    const auto awaitEnd = [](test::LaneStranger& lane) {
+        lane.finish();
+        require(lane.awaitClosed(), "what was said is read, and the connection closed");
+    };
+    if (stranger) awaitEnd(*stranger);
+    {
+        const std::lock_guard lock(events.mutex);
+        require(holder_is_odd || manager.desk.direct(), "strangers do not end the holder's path");
+    }
+    awaitEnd(*by_data);
     const std::lock_guard lock(events.mutex);
-    require(holder_is_odd || manager.desk.direct(), "strangers do not end the holder's path");
     manager.desk.close();
     events.manager = nullptr;
     return 0;

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "entity_interfacer/frame.hpp"
+#include "common/frame.hpp"
 
 namespace {
 

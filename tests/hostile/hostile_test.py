@@ -5,11 +5,13 @@ programs, with clients and entities written from the contracts alone (tests/fore
 
     /usr/bin/python3 tests/hostile/hostile_test.py --bin build/dev/bin [unittest options]
 """
+import os
 import pathlib
 import resource
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -31,6 +33,7 @@ import Ice  # noqa: E402
 from Axon import CommUtil, FrontEndComm  # noqa: E402
 from axon import collaboration_pb2, lease_pb2, messages_pb2, refusal_pb2, status_pb2, task_pb2  # noqa: E402
 from client import Client  # noqa: E402
+from direct_path import CLAIM, CLIENT, KEPT, REFUSAL, DataLane, Refused, Way, frame, proof  # noqa: E402
 from peer import Peer  # noqa: E402
 
 State = CommUtil.EntityState
@@ -338,10 +341,70 @@ class HostileTest(unittest.TestCase):
 
     def test_silent_connections_to_a_direct_path_are_bounded(self):
         client = self.client()
-        host, port = client.checkout(client.find("Counter")).direct_endpoint.rsplit(":", 1)
+        entity = client.find("Counter")
+        grant = client.checkout(entity)
+        host, port = grant.direct_endpoint.rsplit(":", 1)
         silent = [socket.create_connection((host, int(port)), timeout=5) for _ in range(400)]
         self.addCleanup(lambda: [one.close() for one in silent])
-        wait_until(lambda: "more than 256 of one address without a session" in self.lab.manager.text(), "the oldest are closed")
+        wait_until(lambda: "more than 64 of one address without a session" in self.lab.manager.text(), "the oldest are closed")
+        way = Way(client, entity, grant)
+        self.assertFalse(way.closed.is_set(), "the holder still gets its path")
+
+    def test_nobody_opens_a_data_lane_by_what_others_have_said(self):
+        client = self.client()
+        entity = client.find("Counter")
+        grant = client.checkout(entity)
+        epoch, number, me, path = grant.lease.epoch, grant.lease.number, uuid.UUID(client.facts.me.id).bytes, b"p" * 16
+
+        def claim(nonce=None, key=grant.lease.key, who=CLIENT, lane=1, contract=CommUtil.ContractNumber):
+            lane_of = DataLane(grant.direct_endpoint)
+            self.addCleanup(lane_of.close)
+            _, its = lane_of.await_nonce()
+            return lane_of, lambda: lane_of.claim(contract, epoch, number, me, path, proof(key, who, lane, epoch, number, me, path, nonce or its))
+
+        for what, more in (("another key", {"key": b"0" * 16}), ("a nonce of before", {"nonce": b"n" * 16}), ("the answer's direction", {"who": 2}),
+                           ("the other lane", {"lane": 0})):
+            lane, says = claim(**more)
+            with self.assertRaises(Refused, msg=what) as refused:
+                says()
+            self.assertEqual(code(refused.exception.code), "PERMISSION_DENIED", what)
+            self.assertIsNone(lane.await_frame(), "one try for each connection")
+        for contract in (CommUtil.ContractNumber - 1, CommUtil.ContractNumber + 1):
+            with self.assertRaises(Refused) as refused:
+                claim(contract=contract)[1]()
+            self.assertEqual(code(refused.exception.code), "NOT_SUPPORTED")
+            for each in (contract, CommUtil.ContractNumber):
+                self.assertIn(f"contract {each}", refused.exception.text)
+        _, says = claim()
+        says()
+
+    def test_no_rubbish_on_a_data_lane_reaches_anybody(self):
+        client = self.client()
+        entity = client.find("Counter")
+        grant = client.checkout(entity)
+        way = Way(client, entity, grant)
+        for rubbish in (b"GET / HTTP/1.1\r\n\r\n", b"\0" * 4, b"\xff" * 8, struct.pack(">IB", 300, 2), frame(KEPT, b"x"), frame(9, b"x" * 20), os.urandom(5000)):
+            lane = DataLane(grant.direct_endpoint)
+            lane.await_nonce()
+            lane.socket.sendall(rubbish)
+            if lane.await_frame():  # a refusal
+                self.assertIsNone(lane.await_frame())
+            lane.close()
+        slow = DataLane(grant.direct_endpoint)
+        self.addCleanup(slow.close)
+        _, nonce = slow.await_nonce()
+        me, path = uuid.UUID(client.facts.me.id).bytes, b"s" * 16
+        whole = frame(CLAIM, struct.pack(">III", CommUtil.ContractNumber, grant.lease.epoch, grant.lease.number) + me + path +
+                      proof(b"0" * 16, CLIENT, 1, grant.lease.epoch, grant.lease.number, me, path, nonce))
+        for byte in whole:
+            slow.socket.sendall(bytes([byte]))
+        self.assertEqual(slow.await_frame()[0], REFUSAL, "byte at a time, and read")
+        self.assertFalse(way.closed.is_set(), "strangers do not end the holder's path")
+        seq = way.send("STATUS", {"status_request": messages_pb2.StatusRequest(request_id=b"alive")})
+        wait_until(lambda: way.received >= seq, "the path carries messages")
+        way.data.socket.sendall(struct.pack(">IB", 5 << 20, KEPT))
+        self.assertTrue(way.closed.wait(5), "a frame that is too long ends the path of whoever announces it")
+        self.assertEqual(self.state(client, entity), State.REG, "and nothing else")
 
     def test_a_session_that_is_opened_and_not_used_is_none(self):
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(8192, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)

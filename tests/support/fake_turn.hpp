@@ -57,8 +57,8 @@ struct FakeTurn final : entity_manager::Turn {
         told.push_back({to, type, message, Lane::Data});
     }
     bool toApplication(const proto::EmToEi& message) override {
-        to_application.push_back(message);
-        return true;
+        if (link_takes) to_application.push_back(message);
+        return link_takes;
     }
     void warn(std::string text) override { warnings.push_back(std::move(text)); }
     entity_manager::CoreCounters& count() override { return counted; }
@@ -69,6 +69,7 @@ struct FakeTurn final : entity_manager::Turn {
     Stops stopped;
     bool latch = false;
     bool link = true;
+    bool link_takes = true;  ///< false: each message is larger than the link takes at once
     bool session = true;
     std::function<void(entity_manager::Incident&)> on_fire;  ///< what the state table would do
     std::vector<Fired> fired;

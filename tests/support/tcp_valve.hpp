@@ -15,7 +15,10 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
+
+#include "common/descriptor.hpp"
 
 namespace axon::test {
 
@@ -32,12 +35,10 @@ class TcpValve {
         target_.sin_family = AF_INET;
         target_.sin_port = htons(static_cast<std::uint16_t>(std::stoi(target.substr(colon + 1))));
         ::inet_pton(AF_INET, host_.c_str(), &target_.sin_addr);
-        listening_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-        wake_ = ::eventfd(0, EFD_CLOEXEC);
         auto here = target_;
         here.sin_port = 0;
-        if (::bind(listening_, reinterpret_cast<const sockaddr*>(&here), sizeof here) != 0 ||
-            ::listen(listening_, 16) != 0)
+        if (::bind(listening_.get(), reinterpret_cast<const sockaddr*>(&here), sizeof here) != 0 ||
+            ::listen(listening_.get(), 16) != 0)
             throw std::runtime_error("TcpValve: cannot listen at " + host_);
         relay_ = std::thread([this] { run(); });
     }
@@ -45,8 +46,6 @@ class TcpValve {
         ending_ = true;
         wake();
         relay_.join();
-        ::close(listening_);
-        ::close(wake_);
     }
     TcpValve(const TcpValve&) = delete;
     TcpValve& operator=(const TcpValve&) = delete;
@@ -54,7 +53,7 @@ class TcpValve {
     std::string address() const {
         sockaddr_in here{};
         socklen_t size = sizeof here;
-        ::getsockname(listening_, reinterpret_cast<sockaddr*>(&here), &size);
+        ::getsockname(listening_.get(), reinterpret_cast<sockaddr*>(&here), &size);
         return host_ + ":" + std::to_string(ntohs(here.sin_port));
     }
     /// Resets every connection through it, and refuses new ones until open().
@@ -74,35 +73,35 @@ class TcpValve {
   private:
     void wake() const {
         const std::uint64_t one = 1;
-        static_cast<void>(::write(wake_, &one, sizeof one) == sizeof one);
+        static_cast<void>(::write(wake_.get(), &one, sizeof one) == sizeof one);
     }
-    static void reset(int fd) {
+    struct End {
+        Descriptor socket;
+        int other;
+    };
+    static void endWithReset(const Descriptor& socket) {
         const linger at_once{1, 0};
-        ::setsockopt(fd, SOL_SOCKET, SO_LINGER, &at_once, sizeof at_once);
-        ::close(fd);
+        ::setsockopt(socket.get(), SOL_SOCKET, SO_LINGER, &at_once, sizeof at_once);
     }
     void drop(int fd) {
         const auto found = peers_.find(fd);
         if (found == peers_.end()) return;
-        const int other = found->second;
-        peers_.erase(found);
-        peers_.erase(other);
-        reset(fd);
-        reset(other);
+        for (const int end : {found->second.other, fd}) {
+            endWithReset(peers_.at(end).socket);
+            peers_.erase(end);
+        }
     }
     void admit() {
-        const int near = ::accept4(listening_, nullptr, nullptr, SOCK_CLOEXEC);
-        if (near < 0) return;
-        const int far = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-        if (cut_ || ::connect(far, reinterpret_cast<const sockaddr*>(&target_), sizeof target_) != 0) {
-            reset(near);
-            ::close(far);
-            return;
-        }
+        Descriptor near(::accept4(listening_.get(), nullptr, nullptr, SOCK_CLOEXEC));
+        if (!near.open()) return;
+        Descriptor far(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+        if (cut_ || ::connect(far.get(), reinterpret_cast<const sockaddr*>(&target_), sizeof target_) != 0)
+            return endWithReset(near);
         const int yes = 1;
-        for (const int fd : {near, far}) ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
-        peers_[near] = far;
-        peers_[far] = near;
+        const int fds[] = {near.get(), far.get()};
+        for (const int fd : fds) ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+        peers_[fds[0]] = {std::move(near), fds[1]};
+        peers_[fds[1]] = {std::move(far), fds[0]};
     }
     void relay(int from) {
         char bytes[65536];
@@ -112,21 +111,21 @@ class TcpValve {
         if (count <= 0) return drop(from);
         bytes_ += static_cast<std::uint64_t>(count);
         for (ssize_t sent = 0; sent < count;) {
-            const auto part =
-                ::send(found->second, bytes + sent, static_cast<std::size_t>(count - sent), MSG_NOSIGNAL);
+            const auto part = ::send(found->second.other, bytes + sent,
+                                     static_cast<std::size_t>(count - sent), MSG_NOSIGNAL);
             if (part <= 0) return drop(from);
             sent += part;
         }
     }
     void run() {
         while (!ending_) {
-            std::vector<pollfd> watched{{wake_, POLLIN, 0}, {listening_, POLLIN, 0}};
+            std::vector<pollfd> watched{{wake_.get(), POLLIN, 0}, {listening_.get(), POLLIN, 0}};
             if (!held_)
-                for (const auto& [fd, other] : peers_) watched.push_back({fd, POLLIN, 0});
+                for (const auto& [fd, end] : peers_) watched.push_back({fd, POLLIN, 0});
             if (::poll(watched.data(), watched.size(), -1) <= 0) continue;
             if (watched[0].revents != 0) {
                 std::uint64_t count = 0;
-                static_cast<void>(::read(wake_, &count, sizeof count) == sizeof count);
+                static_cast<void>(::read(wake_.get(), &count, sizeof count) == sizeof count);
                 if (cut_) {
                     while (!peers_.empty()) drop(peers_.begin()->first);
                     continue;
@@ -142,10 +141,11 @@ class TcpValve {
 
     std::string host_;
     sockaddr_in target_{};
-    int listening_ = -1, wake_ = -1;
+    const Descriptor listening_{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
+    const Descriptor wake_{::eventfd(0, EFD_CLOEXEC)};
     std::atomic<bool> cut_{false}, held_{false}, ending_{false};
     std::atomic<std::uint64_t> bytes_{0};
-    std::map<int, int> peers_;  // confined to relay_
+    std::map<int, End> peers_;  // by their descriptors; confined to relay_
     std::thread relay_;
 };
 

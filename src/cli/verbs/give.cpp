@@ -206,7 +206,7 @@ int send(Session& session) {
 }  // namespace
 
 extern const Verb kSet{"set",
-                       "Set parameters of a service, before running it",
+                       "Set parameters of a service",
                        "  axon set PeopleBot Driving 'Range Threshold=500'\n"
                        "  axon set PeopleBot Driving range_threshold=500mm\n"
                        "The robot application grants or denies each value. Values that are not savable are "

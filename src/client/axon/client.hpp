@@ -51,7 +51,7 @@ struct Options {
     std::function<bool()> keep_running;
 };
 
-/// Returns `options` with the settings of a configuration file applied. The file has one KEY=VALUE per line.
+/// Returns `options` with the settings of a configuration file applied (docs/reference/settings_files.md).
 /// The keys are Axon.Server or Ice.Default.Router, Axon.User, Axon.Password, and any property Ice.* or
 /// IceSSL.* (docs/reference/routers.md). Refused with MALFORMED if the file cannot be read or understood, and
 /// with PERMISSION_DENIED if it holds a password and others may read it. The message says how to fix it.
@@ -69,8 +69,8 @@ class Task {
     TaskReport report() const;
     /// Blocks until the state is final, or until `time` has passed. Returns the newest report in both cases.
     TaskReport wait(std::optional<Seconds> time = std::nullopt) const;
-    /// The callback is called immediately with the current report, then on every change. It runs on the
-    /// library's callback thread.
+    /// The callback is called immediately with the current report, then on every change. It runs as
+    /// all callbacks do (see Client).
     void onUpdate(std::function<void(const TaskReport&)> callback) const;
     Result<void> pause() const;
     Result<void> resume() const;
@@ -94,8 +94,8 @@ class Run {
     RunReport report() const;
     /// Blocks until the state is final, or until `time` has passed. Returns the newest report in both cases.
     RunReport wait(std::optional<Seconds> time = std::nullopt) const;
-    /// The callback is called immediately with the current report, then on every change. It runs on the
-    /// library's callback thread.
+    /// The callback is called immediately with the current report, then on every change. It runs as
+    /// all callbacks do (see Client).
     void onUpdate(std::function<void(const RunReport&)> callback) const;
     /// Pauses every running step. Refused with NOT_PAUSABLE if one of them cannot be paused.
     Result<void> pause() const;
@@ -182,7 +182,7 @@ class CheckOut {
     /// Stops the running task and goes on with the next one of the queue. Does not latch. (The reset command
     /// of the thesis.)
     ///
-    /// Blocks until the receipt arrives, as clear() does: call neither on the library's callback thread. The
+    /// Blocks until the receipt arrives, as clear() does: call neither in a callback. The
     /// receipt says how many tasks have ended, which can be none. Refused with WRONG_STATE if the entity
     /// takes part in a collaboration and runs no step.
     Result<Receipt> reset() const;
@@ -210,8 +210,10 @@ class CheckOut {
 ///              orphaned.
 ///   closed     final.
 ///
-/// Threads: any thread may call every member. Callbacks run in order on one thread of the library. A callback
-/// may call everything except a function that waits (Task::wait, checkOut, …).
+/// Threads: any thread may call every member. Callbacks run one at a time, in order, on threads of the
+/// library; two callbacks may run on different threads. While one does not return, later ones wait, and
+/// messages, heartbeats and stops go on. A callback may call everything except a function that waits
+/// (Task::wait, checkOut, …).
 ///
 /// Ownership: close() and the destructor release the entities that the client holds and wait for the answers.
 ///
@@ -300,7 +302,7 @@ class Client {
     Result<RunHistory> runHistory(const std::vector<std::string>& names = {}, int most = 0) const;
 
     /// Subscribes to streams of an entity, whoever holds it. An empty `streams` subscribes to all of them.
-    /// The callback runs on the library's callback thread. Destroying the handle ends the subscription.
+    /// The callback runs as all callbacks do (see Client). Destroying the handle ends the subscription.
     Result<std::shared_ptr<void>> watch(std::string_view name, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> callback);
     void close();

@@ -226,7 +226,7 @@ struct CheckOutOptions {
     /// entities, or by a query, waits until all of them are free at the same time. With `ask`, it waits for
     /// the holder's answer, and then in the wait list if the answer is no.
     std::optional<Seconds> wait;
-    /// Called on every change while the check-out waits, on the library's callback thread.
+    /// Called on every change while the check-out waits, as all callbacks are (see Client).
     std::function<void(const Waiting&)> on_waiting;
     /// Ask the holder to hand the entity over. For one entity, by name. The check-out ends with the grant or
     /// with HAND_OVER_REFUSED.

@@ -37,7 +37,7 @@ void Commands::set(const Held& held, std::string_view service, const Argument& a
     parts_.requests.await(id, {.entity = held.entity,
                                .lease = held.lease,
                                .sequence = sequence,
-                               .what = request::SetParameter{std::move(done)}});
+                               .what = request::Confirmed{std::move(done)}});
 }
 
 Result<void> Commands::sendText(const Held& held, std::string_view text) {
@@ -91,9 +91,10 @@ void Commands::rearm(const std::string& entity, Done done) {
     proto::ToEntity body;
     body.mutable_rearm()->set_request_id(id.bytes());
     const auto sequence = parts_.context.send(entity, kMsgRearm, lease, body);
-    parts_.requests.await(
-        id,
-        {.entity = entity, .lease = lease, .sequence = sequence, .what = request::Rearm{std::move(done)}});
+    parts_.requests.await(id, {.entity = entity,
+                               .lease = lease,
+                               .sequence = sequence,
+                               .what = request::Confirmed{std::move(done)}});
 }
 
 Id128 Commands::offer(const Held& held, std::string_view service, std::string_view resource,

@@ -190,7 +190,7 @@ Service fromProto(const proto::Service& service) {
 }
 
 std::optional<EntityState> stateFromProto(proto::EntityState state) {
-    if (state < proto::UNAV || state > proto::ERR) return std::nullopt;
+    if (state < proto::UNAV || state > proto::EntityState_MAX) return std::nullopt;
     return static_cast<EntityState>(static_cast<int>(state) - 1);
 }
 

@@ -199,9 +199,8 @@ Result<Entity> Entities::find(std::string_view name) const {
 Result<Entity> Entities::entity(const std::string& id) const {
     const auto known = entities_.find(id);
     if (known == entities_.end() || !known->second.there()) {
-        return Refusal{RefusalCode::UnknownEntity,
-                       "The entity " + id + " is not connected to the server (any more).",
-                       {}};
+        return Refusal{
+            RefusalCode::UnknownEntity, "The entity " + id + " is not connected to the server.", {}};
     }
     return known->second.facts;
 }

@@ -54,7 +54,7 @@ bool Leases::orphaned(const Held& held) const {
 Refusal Leases::notHolder(const Held& held) const {
     return {RefusalCode::NotHolder,
             "This client does not hold " + parts_.entities.label(held.entity) +
-                " (any more). Check it out first.",
+                ", or no longer does. Check it out first.",
             {}};
 }
 
@@ -295,7 +295,7 @@ Result<void> Leases::answerHandOver(const Held& held, bool accept, std::string_v
     auto& mine = leases_.at(held.entity);
     if (!mine.question) {
         return Refusal{RefusalCode::WrongState,
-                       "Nobody asks for " + parts_.entities.label(held.entity) + " (any more).",
+                       "No client asks for " + parts_.entities.label(held.entity) + " at the moment.",
                        {}};
     }
     if (!isUtf8(reason)) return Refusal{RefusalCode::Malformed, "A reason must be UTF-8.", {}};

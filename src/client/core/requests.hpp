@@ -62,8 +62,9 @@ struct Release {
     }
     Done done;
 };
-/// A parameter's new value.
-struct SetParameter : Asked<void> {};
+/// What the entity answers with a Reply and nothing else: a parameter's new value, a rearming. A new message
+/// of this sort needs no type of its own.
+struct Confirmed : Asked<void> {};
 /// A task or a run is to pause, to go on or to end.
 struct Control : Asked<void> {
     /// What its new state says to the request; nothing while it is under way. `noun`: "task" or "run".
@@ -82,7 +83,6 @@ struct Control : Asked<void> {
     }
     proto::TaskAction action = proto::TASK_ACTION_UNSPECIFIED;
 };
-struct Rearm : Asked<void> {};
 /// What an entity tells of itself.
 struct FetchDetails : Asked<Details> {};
 /// A resource on its way; its credits are no answer, but make it wait longer.
@@ -122,7 +122,7 @@ inline constexpr bool kOutlivesEntity =
     std::is_same_v<One, StartTask> || std::is_same_v<One, StartRun> || std::is_same_v<One, ResumeLease>;
 
 /// In the order in which they are answered when an entity leaves or the connection is lost.
-using Kind = std::variant<Release, SetParameter, Control, Rearm, FetchDetails, Upload, StartTask, ResumeLease,
+using Kind = std::variant<Release, Confirmed, Control, FetchDetails, Upload, StartTask, ResumeLease,
                           AskAfterTasks, StartRun, AskAfterRuns, FetchGlobalServices, FetchRunRecords>;
 
 template <class One, std::size_t at = 0>

@@ -38,10 +38,10 @@ struct RequestsTest : testing::Test {
 };
 
 TEST_F(RequestsTest, ARequestIsAnsweredOnceAndIsOutOfEverythingBeforeItIs) {
-    ask(1, request::SetParameter{noted()}, 7);
-    EXPECT_TRUE(requests.settle<request::SetParameter>(id(1), {}));
+    ask(1, request::Confirmed{noted()}, 7);
+    EXPECT_TRUE(requests.settle<request::Confirmed>(id(1), {}));
     EXPECT_EQ(left, 0U) << "whoever is told may ask for something else";
-    EXPECT_FALSE(requests.settle<request::SetParameter>(id(1), kDenied));
+    EXPECT_FALSE(requests.settle<request::Confirmed>(id(1), kDenied));
     EXPECT_EQ(answers, std::vector{RefusalCode::Ok});
     EXPECT_FALSE(requests.bySequence(7));
     EXPECT_TRUE(requests.of("robot").empty());
@@ -52,14 +52,14 @@ TEST_F(RequestsTest, ARequestIsAnsweredOnceAndIsOutOfEverythingBeforeItIs) {
 TEST_F(RequestsTest, TheSameNumberOfAnotherKindIsAnotherRequest) {
     ask(1, request::StartTask{});
     ask(1, request::Control{{noted()}, proto::PAUSE});
-    EXPECT_FALSE(requests.settle<request::Rearm>(id(1), {}));
+    EXPECT_FALSE(requests.settle<request::Confirmed>(id(1), {}));
     EXPECT_TRUE(requests.settle<request::Control>(id(1), {}));
     EXPECT_TRUE(requests.contains(Requests::keyOf<request::StartTask>(id(1))));
 }
 
 TEST_F(RequestsTest, ARefusalIsToldAndMayMeanThatTheLeaseIsGone) {
-    ask(1, request::Rearm{noted()});
-    requests.settle<request::Rearm>(id(1), kDenied);
+    ask(1, request::Confirmed{noted()});
+    requests.settle<request::Confirmed>(id(1), kDenied);
     EXPECT_EQ(answers, std::vector{RefusalCode::Denied});
     EXPECT_EQ(refused, std::vector{RefusalCode::Denied});
 }
@@ -80,7 +80,7 @@ TEST_F(RequestsTest, WhatHasAnAnswerOfItsOwnIsRefusedLikeTheRest) {
 }
 
 TEST_F(RequestsTest, ItIsDueAfterTheTimeOutOrWhenItSays) {
-    ask(1, request::Rearm{noted()});
+    ask(1, request::Confirmed{noted()});
     requests.await(id(2), {.entity = "robot", .deadline = clock.now() + 1s, .what = request::ResumeLease{}});
     EXPECT_EQ(requests.nextDeadline(), clock.now() + 1s);
     EXPECT_FALSE(requests.due(clock.now()));
@@ -89,7 +89,7 @@ TEST_F(RequestsTest, ItIsDueAfterTheTimeOutOrWhenItSays) {
     requests.postpone(Requests::keyOf<request::ResumeLease>(id(2)), clock.now() + 1h);
     EXPECT_FALSE(requests.due(clock.now()));
     clock.advance(4s);
-    EXPECT_EQ(requests.due(clock.now()), Requests::keyOf<request::Rearm>(id(1)));
+    EXPECT_EQ(requests.due(clock.now()), Requests::keyOf<request::Confirmed>(id(1)));
 }
 
 TEST_F(RequestsTest, OneThatIsSentAgainIsKnownByItsNewNumberOnly) {
@@ -102,7 +102,7 @@ TEST_F(RequestsTest, OneThatIsSentAgainIsKnownByItsNewNumberOnly) {
 TEST_F(RequestsTest, ThoseOfOneEntityAreFoundInTheOrderOfTheirKinds) {
     ask(1, request::Upload{noted()});
     ask(2, request::Release{noted()});
-    ask(3, request::Rearm{noted()}, 0, "another");
+    ask(3, request::Confirmed{noted()}, 0, "another");
     EXPECT_EQ(requests.of("robot"), (std::vector{Requests::keyOf<request::Release>(id(2)),
                                                  Requests::keyOf<request::Upload>(id(1))}));
     EXPECT_EQ(requests.all().size(), 3U);

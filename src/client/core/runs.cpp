@@ -345,7 +345,7 @@ void Runs::onDue(Id128 id) {
 void Runs::control(const Id128& run, proto::TaskAction action, Done done) {
     const auto found = runs_.find(run);
     if (found == runs_.end())
-        return done(Refusal{RefusalCode::UnknownTask, "This client knows no such run (any more).", {}});
+        return done(Refusal{RefusalCode::UnknownTask, "This client has no record of such a run.", {}});
     const auto& entry = found->second;
     requestControl(parts_, run, entry.master, entry.report.state, action, "run", std::move(done));
 }

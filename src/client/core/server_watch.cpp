@@ -24,7 +24,7 @@ ServerWatch::ServerWatch(const CoreParts& parts)
 
 void ServerWatch::onConnected(const Watchdogs& watchdogs) {
     watchdogs_ = watchdogs;
-    feed();
+    heard();
     next_beat_ = parts_.context.clock.now();
 }
 

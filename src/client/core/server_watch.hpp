@@ -5,7 +5,7 @@
 #include "client/base/server_link.hpp"
 #include "client/core/core_context.hpp"
 #include "common/clock.hpp"
-#include "common/watchdog.hpp"
+#include "common/liveness.hpp"
 
 namespace axon::client {
 
@@ -19,7 +19,7 @@ class ServerWatch {
     void onConnected(const Watchdogs& watchdogs);
     void onDisconnected();
     /// The server lives: it has sent something.
-    void feed() { server_.feed(parts_.context.clock.now()); }
+    void heard() { server_.heard(parts_.context.clock.now()); }
     /// Call after each change of what may be busy: a task, a run, the state of an entity that is held.
     void pace();
     /// Beats if it is due.
@@ -35,7 +35,7 @@ class ServerWatch {
     Duration beatPeriod(bool fast) const;
 
     const CoreParts& parts_;
-    Watchdog server_;
+    Liveness server_;
     Watchdogs watchdogs_;  // of the server, for this client
     std::int64_t beat_ = 0;
     TimePoint next_beat_ = TimePoint::max();

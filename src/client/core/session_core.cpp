@@ -84,7 +84,7 @@ void SessionCore::onServerText(int code, const std::string& text) {
 }
 
 void SessionCore::onProfile(Presence presence, const Registration& registration, std::string_view profile) {
-    server_.feed();
+    server_.heard();
     if (presence != Presence::Left) return entities_.onProfile(registration, profile);
     const std::string& id = registration.entity;
     if (entities_.facts(id) == nullptr) return;
@@ -105,7 +105,7 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
 }
 
 void SessionCore::onStatus(const EntityStatus& status) {
-    server_.feed();
+    server_.heard();
     context_.marks.raise(status.entity, status.stop_generation);
     const bool joins = entities_.onStatus(status);
     leases_.onStatus(status);
@@ -115,7 +115,7 @@ void SessionCore::onStatus(const EntityStatus& status) {
 }
 
 void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool of_server) {
-    if (of_server) server_.feed();
+    if (of_server) server_.heard();
     proto::ToClient message;
     if (!parse(message, bytes)) {
         ++context_.malformed;
@@ -212,9 +212,8 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
                                        entities_.label(head.entity) + ": " + refusal.message);
         return;
     }
-    if (requests_.settle<request::SetParameter>(*id, refusal) ||
-        requests_.settle<request::Rearm>(*id, refusal) || requests_.settle<request::Release>(*id, refusal) ||
-        refusal.ok())
+    if (requests_.settle<request::Confirmed>(*id, refusal) ||
+        requests_.settle<request::Release>(*id, refusal) || refusal.ok())
         return;
     if (requests_.settle<request::FetchDetails>(*id, refusal) ||
         requests_.settle<request::Control>(*id, refusal) || requests_.settle<request::Upload>(*id, refusal) ||
@@ -231,7 +230,7 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
 }
 
 void SessionCore::onRefusal(const Header& head, const Refusal& refusal) {
-    server_.feed();
+    server_.heard();
     if (check_outs_.onRefused(head.sequence, head.entity, refusal)) return;
     if (const auto key = requests_.bySequence(head.sequence);
         key && requests_.find(*key)->entity == head.entity)

@@ -71,7 +71,7 @@ class SessionCore {
     /// newRefusalMsg: `head` repeats the sequence and entity of what this client sent.
     void onRefusal(const Header& head, const Refusal& refusal);
     void onServerText(int code, const std::string& text);
-    void onServerHeartbeat() { server_.feed(); }
+    void onServerHeartbeat() { server_.heard(); }
 
     // What is due, at nextDeadline(): requests that nobody answered.
     void onTimer();

@@ -638,7 +638,7 @@ class WatchedWorld : public CoreWorld {
             margin = std::min(margin, server->margin(clock.now()));
             if (next == end) break;
             core.onHeartbeatTimer();
-            server->feed(clock.now());
+            server->heard(clock.now());
         }
         EXPECT_LE(link.beats.size() - before, static_cast<std::size_t>(10 * (time / server->timeout()) + 2));
     }
@@ -655,7 +655,7 @@ class WatchedWorld : public CoreWorld {
         status(3, EntityState::REG, kMe, held.lease);
         server->setBusy(false, clock.now());
     }
-    std::optional<Watchdog> server;
+    std::optional<Liveness> server;
     double margin = 1;
 };
 

@@ -205,7 +205,7 @@ bool Tasks::onAnswer(Id128 request, const proto::EntityStatus& status) {
         if (alive.contains(task)) continue;
         finish(task, TaskState::Unknown,
                {RefusalCode::OutcomeUnknown,
-                parts_.entities.label(pending->entity) + " does not know (any more) what became of it.",
+                parts_.entities.label(pending->entity) + " has no record of how it ended.",
                 {}});
     }
     return true;
@@ -224,7 +224,7 @@ void Tasks::onAskAfterDue(Id128 request) {
 void Tasks::control(const Id128& task, proto::TaskAction action, Done done) {
     const auto found = tasks_.find(task);
     if (found == tasks_.end())
-        return done(Refusal{RefusalCode::UnknownTask, "This client knows no such task (any more).", {}});
+        return done(Refusal{RefusalCode::UnknownTask, "This client has no record of such a task.", {}});
     const auto& entry = found->second;
     requestControl(parts_, task, entry.held, entry.report.state, action, "task", std::move(done));
 }

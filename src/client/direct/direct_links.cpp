@@ -202,12 +202,12 @@ DirectLinks::Turn DirectLinks::turn() {
                 turn.close.emplace_back(entry.path, "its lease has ended");
             } else if (now >= entry.mark_due) {
                 turn.close.emplace_back(entry.path, "the servers have not brought its beginning in time");
-            } else if (entry.begun && now >= entry.path->silence.deadline()) {
+            } else if (entry.begun && now >= entry.path->liveness.deadline()) {
                 turn.close.emplace_back(entry.path, "nothing was heard of the Entity Manager");
             } else {
                 later(entry.close_at);
                 later(entry.mark_due);
-                if (entry.begun) later(entry.path->silence.deadline());
+                if (entry.begun) later(entry.path->liveness.deadline());
             }
             continue;
         }

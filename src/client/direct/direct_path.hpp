@@ -18,13 +18,16 @@ namespace axon::client {
 
 class DirectPath;
 
-/// What happens on direct paths. On the path's threads: data and signals at the same time, each in order.
+/// What happens on direct paths. On the path's threads: messages and signals at the same time, each in order.
 class DirectPathEvents {
   public:
     virtual ~DirectPathEvents() = default;
     /// head.sender is empty.
     virtual void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head,
                               std::string_view message) = 0;
+    /// What had come has been told by newDirectMsg(). Another thread may read meanwhile: what takes long,
+    /// such as a callback of the user's, belongs here.
+    virtual void directRead() {}
     virtual void newDirectReceipt(const DirectPath& path, const Header& head, std::string_view message) = 0;
     /// It is open now, or has ended: ask it.
     virtual void directChanged() = 0;
@@ -42,14 +45,14 @@ struct DirectOffer {
 /// Two connections with an Entity Manager, data and signals, without the servers in between
 /// (docs/reference/direct.md).
 ///
-/// Where in the flow: beside ServerConnection, for one lease; what carries it is IceDirectPath, or a
+/// Where in the flow: beside ServerConnection, for one lease; what carries it is NetworkPath, or a
 /// simulated network. States: being opened ─► open ─► ended, or at once ended; it does not come back, another
 /// attempt is another path. Threads: any. Nothing waits. Ownership: shared, because what comes may be under
 /// way when it ends. Failure: it ends, with a reason.
 class DirectPath {
   public:
     DirectPath(DirectOffer offer, Id128 number, const Clock& clock)
-        : silence(clock.now()),
+        : liveness(direct::livenessOfEnd(clock.now())),
           clock_(clock),
           offer_(std::move(offer)),
           number_(number),
@@ -90,9 +93,9 @@ class DirectPath {
     std::pair<TimePoint, bool> beatIfDue(bool moving, bool permitted) {
         const auto now = clock_.now();
         const bool busy = moving || now.time_since_epoch().count() < lively_until_;
-        const bool faster = busy && !silence.busy();
+        const bool faster = busy && !liveness.busy();
         permitted_ = permitted;
-        silence.setBusy(busy, now);
+        liveness.setBusy(busy, now);
         if (faster || now >= beat_at_) {
             beat_at_ = now + (busy ? direct::kBeatBusy : direct::kBeatIdle);
             if (permitted) beat();
@@ -101,14 +104,14 @@ class DirectPath {
     }
 
     // What its threads and its user's share; no lock, so that no beat waits.
-    direct::Silence silence;                    ///< of the Entity Manager
+    Liveness liveness;                          ///< of the Entity Manager
     std::atomic<std::int64_t> acknowledged{0};  ///< by the Entity Manager
     std::atomic<std::int64_t> passed{0};        ///< to the core, for the next beat
 
   protected:
     /// The Entity Manager's beat.
     void heard(std::int64_t received, bool asks) {
-        silence.heard(clock_.now());
+        liveness.heard(clock_.now());
         acknowledged.store(received, std::memory_order_relaxed);
         if (asks && permitted_) beat();
     }

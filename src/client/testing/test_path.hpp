@@ -29,7 +29,7 @@ class NotedPath final : public DirectPath {
     void sendClearSignal(const Header&) const override {}
     void beat() const override { ++beats; }
     void stand() {
-        silence.heard(clock_.now());
+        liveness.heard(clock_.now());
         open_ = true;
     }
     mutable std::vector<std::int64_t> sent, stops;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #pragma once
+#include <array>
 #include <cstdint>
 #include <string>
 
@@ -10,7 +11,16 @@ enum class Role : std::uint8_t { Observer, Operator, Admin };
 enum class Presence : std::uint8_t { Joined, Changed, Left };
 
 /// The nine states of an Entity Manager (thesis 3.3.1), named as in the contracts.
-enum class EntityState : std::uint8_t { UNAV, INIT, ENVCONN, IDLE, REG, COLLAB, SLAVE, BUSY, ERR };
+enum class EntityState : std::uint8_t {
+#define AXON_STATE(name, availability) name,
+#include "states.def"
+#undef AXON_STATE
+};
+inline constexpr std::array kEntityStates{
+#define AXON_STATE(name, availability) EntityState::name,
+#include "states.def"
+#undef AXON_STATE
+};
 
 /// What a client can do with an entity that is in a state.
 enum class Availability : std::uint8_t {

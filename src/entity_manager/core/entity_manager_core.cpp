@@ -2,12 +2,10 @@
 #include "entity_manager/core/entity_manager_core.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <utility>
 
 #include "common/planted_bug.hpp"
 #include "entity_manager/core/kept_identity.hpp"
-#include "messages/values.hpp"
 
 namespace axon::entity_manager {
 
@@ -24,12 +22,14 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       latch_(storage, parts_lost_),
       journal_(*this, journal),
       readiness_(settings_.application),
+      outgoing_(*this, server, uuid_),
       presence_(
-          *this, server, [this](const std::string& why) { serverLost(why); },
+          *this, server,
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       ownership_(*this, *this, journal_, storage, random, profiler_,
                  {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_generations, back_end),
+      stop_orders_(*this, stops_, journal_),
       tasks_(*this, *this, journal_, back_end, resources, stop_generations, random, profiler_, memory_,
              {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
       profiles_(*this, *this, readiness_, resources, profiler_,
@@ -37,7 +37,8 @@ EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const C
       teamwork_(*this, *this, journal_, storage, random, profiler_, memory_,
                 {uuid_, settings_.server_watchdog_busy}),
       inputs_(*this, *this, storage, resources, profiler_,
-              {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
+              {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}),
+      status_(*this, *this, readiness_, memory_, uuid_) {
     if (parts_lost_) {
         warning_ =
             "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
@@ -83,14 +84,7 @@ void EntityManagerCore::process(Event event, Who who, const Header& head, proto:
         refuse(incident, refusal);
         return;
     }
-    if (event == Event::Release || event == Event::Clear)
-        incident.reason = {
-            RefusalCode::Stopped,
-            named(head.sender) + (event == Event::Clear ? " cleared all tasks." : " released the entity."),
-            {}};
-    if (event == Event::Release) incident.cause = StopCause::Released;
-    if (event == Event::Clear) incident.cause = StopCause::Clear;
-    if (event == Event::Reset) incident.cause = StopCause::Reset;
+    StopOrders::giveReason(incident);
     fire(incident);
 }
 
@@ -207,21 +201,6 @@ void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
     settle();
 }
 
-/// What was ordered while the application was lost is given to it now that it is back: it has stopped by
-/// itself when its link ended, but another process may be in its place.
-void EntityManagerCore::deliverStops() {
-    if (!stops_.owed()) return;
-    Incident again{Event::LinkUp};
-    again.cause = StopCause::LinkLost;
-    again.reason = {RefusalCode::Stopped, "It was stopped while its application was lost.", {}};
-    stopApplication(again);
-}
-
-void EntityManagerCore::onLinkMessage(const proto::EiToEm& message) {
-    auto copy = message;
-    hear(copy);
-}
-
 void EntityManagerCore::hear(proto::EiToEm& message) {
     if (quit_ || !link_up_) {
         ++counters_.unexpected;
@@ -229,49 +208,12 @@ void EntityManagerCore::hear(proto::EiToEm& message) {
     }
     if (AXON_PLANTED(WatchdogFedByTheApplication)) presence_.heard();
     switch (message.body_case()) {
-        case proto::EiToEm::kStopDone:
-            stops_.answered(message.stop_done());
-            break;
-        case proto::EiToEm::kProfile:
-            profiles_.uploaded(*message.mutable_profile());
-            break;
-        case proto::EiToEm::kAnswer:
-            inputs_.answered(message.answer());
-            break;
-        case proto::EiToEm::kTaskAnswer:
-            tasks_.answered(message.task_answer());
-            break;
-        case proto::EiToEm::kTask:
-            tasks_.updated(*message.mutable_task()->mutable_event());
-            break;
-        case proto::EiToEm::kActive:
-            profiles_.activeIs(message.active());
-            break;
-        case proto::EiToEm::kStatus:
-            tasks_.applicationIs(message.status());
-            break;
-        case proto::EiToEm::kPosition:
-            presence_.positionIs(message.position());
-            break;
-        case proto::EiToEm::kText:
-            holder_channel_.textCame(*message.mutable_text());
-            break;
-        case proto::EiToEm::kRaw:
-            if (!message.raw().to().empty())
-                teamwork_.sendRaw(*message.mutable_raw());
-            else
-                holder_channel_.rawCame(*message.mutable_raw());
-            break;
-        case proto::EiToEm::kSample:
-            streams_.pass(*message.mutable_sample());
-            break;
-        case proto::EiToEm::kWelcome:
-        case proto::EiToEm::kBeat:
-        case proto::EiToEm::kEnd:
-            break;  // the link's own business
-        case proto::EiToEm::BODY_NOT_SET:
-            ++counters_.malformed;
-            break;
+#define AXON_REPORT(name, call) \
+    case proto::EiToEm::name:   \
+        call;                   \
+        break;
+#include "entity_manager/core/turn/reports.def"
+#undef AXON_REPORT
     }
     settle();
 }
@@ -294,67 +236,16 @@ void EntityManagerCore::onStored() {
     settle();
 }
 
-void EntityManagerCore::seekServer() {
-    presence_.seek();
-    if (connected() && state_ == EntityState::ENVCONN) fire(serverUpEvent());
-}
-
 void EntityManagerCore::onServerUp() {
     if (quit_) return;
-    if (connected()) serverLost("the session with the server was replaced");
-    presence_.up();
-    fire(serverUpEvent());
+    presence_.sessionBegan();
     settle();
 }
 
 void EntityManagerCore::onServerDown(const std::string& reason) {
     if (quit_ || !connected()) return;
-    serverLost(reason);
+    presence_.sessionEnded(reason);
     settle();
-}
-
-void EntityManagerCore::serverLost(const std::string& reason) {
-    presence_.down();
-    Incident incident{Event::ServerDown};
-    incident.cause = StopCause::ServerLost;
-    incident.reason = {RefusalCode::NotConnected, "The Entity Manager lost the server: " + reason, {}};
-    fire(incident);
-}
-
-EntityStatus EntityManagerCore::status() const {
-    EntityStatus status;
-    status.entity = uuid_;
-    status.state = state_;
-    status.latched = latched();
-    status.stop_generation = static_cast<std::int32_t>(stops_.generation());
-    if (const auto* held = this->held()) {
-        status.holder = held->holder;
-        status.held = held->number;
-    }
-    status.orphaned = orphaned();
-    status.waiting = static_cast<std::int32_t>(ownership_.waiting());
-    status.reason = state_ == EntityState::IDLE ? ownership_.taken() : whyNotReady();
-    return status;
-}
-
-void EntityManagerCore::tellStatus() {
-    presence_.tell(status());
-}
-
-void EntityManagerCore::stopApplication(Incident& incident) {
-    if (!mustStop(incident)) return;
-    incident.generation = stops_.order(incident.cause, incident.event != Event::Reset);
-    tasks_.restamp();
-    if (incident.event != Event::Reset) tasks_.applicationStopped();
-    noteStop(incident);
-}
-
-void EntityManagerCore::noteStop(const Incident& incident) {
-    journal_.note({.kind = JournalRecord::Kind::Stopped,
-                   .generation = incident.generation,
-                   .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
-                   .code = toString(incident.cause),
-                   .text = incident.reason.message});
 }
 
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
@@ -362,12 +253,9 @@ void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::u
     Incident incident{Event::Stop, &head};
     incident.cause = cause;
     incident.generation = generation;
-    stops_.arrived(generation);
-    tasks_.restamp();
     incident.reason = {
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
-    tasks_.applicationStopped();
-    if (!AXON_PLANTED(StopNotInTheJournal)) noteStop(incident);
+    stop_orders_.arrived(incident);
     fire(incident);
     settle();
 }
@@ -387,17 +275,6 @@ void EntityManagerCore::onSignal(Event event, const Header& head) {
 void EntityManagerCore::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
     if (quit_) return;
     stops_.repeated(head, cause, generation, tasks_.anyRuns());
-}
-
-void EntityManagerCore::acknowledge(const Incident& incident) {
-    std::optional<StopLedger::Ended> ended;
-    if (incident.event == Event::Reset || incident.event == Event::Clear) {
-        ended.emplace();
-        ended->tasks = static_cast<std::uint32_t>(tasks_.begun());
-        if (incident.event == Event::Clear) ended->removed = static_cast<std::uint32_t>(tasks_.waiting());
-    }
-    if (stops_.acknowledge(*incident.head, incident.cause, incident.generation, tasks_.robotMoves(), ended))
-        deliverStops();
 }
 
 void EntityManagerCore::onClientUpdate(const Header& head, ClientChange change) {
@@ -424,10 +301,6 @@ void EntityManagerCore::onClientUpdate(const Header& head, ClientChange change) 
 void EntityManagerCore::loseHolder(Incident& lost) {
     lost.event = tasks_.survivesClientLoss() ? Event::ClientSpared : Event::ClientLost;
     fire(lost);
-}
-
-void EntityManagerCore::controlTask(const Incident& incident) {
-    if (!teamwork_.control(incident)) tasks_.control(incident);
 }
 
 void EntityManagerCore::granted(Incident& granted) {
@@ -460,44 +333,11 @@ void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) 
     if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
 }
 
-Header EntityManagerCore::headFor(const Sender& to, const char* type) {
-    Header head;
-    head.sender = to;
-    head.entity = uuid_;
-    head.msg_type = type;
-    if (const auto* held = this->held()) head.held = held->number;
-    head.stop_generation = static_cast<std::int32_t>(stops_.generation());
-    head.sequence = ++sequence_;
-    head.sent_at_us = toMicroseconds(clock_.now());
-    return head;
-}
-
-void EntityManagerCore::tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) {
-    if (!connected() || to.id.empty()) return;
-    server_.sendToClient(lane, headFor(to, type), message);
-}
-
-void EntityManagerCore::tellPeer(Lane lane, const std::string& entity, const char* type,
-                                 const proto::ToEntity& message) {
-    if (!connected()) return;
-    auto head = headFor(self(), type);
-    head.entity = entity;
-    server_.sendToPeer(lane, head, message);
-}
-
 void EntityManagerCore::onPeerRefusal(const Header& head, const Refusal& refusal) {
     if (quit_) return;
     ++counters_.peer_refusals;
     teamwork_.unreachable(head.entity, refusal);
     settle();
-}
-
-void EntityManagerCore::reply(const Sender& to, const std::string& request_id, const Refusal& refusal,
-                              Lane lane) {
-    proto::ToClient message;
-    message.mutable_reply()->set_request_id(request_id);
-    if (!refusal.ok()) *message.mutable_reply()->mutable_refusal() = toProto(refusal);
-    tell(to, kMsgReply, message, lane);
 }
 
 /// Each kind of request is refused with its own kind of answer.
@@ -522,28 +362,11 @@ void EntityManagerCore::refuse(const Incident& incident, const Refusal& refusal)
     }
 }
 
-void EntityManagerCore::answerStatus(const Incident& incident) {
-    proto::ToClient message;
-    auto& status = *message.mutable_status();
-    status.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-    status.set_latched(latched());
-    status.set_stop_generation(stops_.generation());
-    if (holder() != nullptr) status.set_holder(named(*holder()));
-    status.set_orphaned(orphaned());
-    status.set_waiting(static_cast<std::uint32_t>(ownership_.waiting()));
-    status.set_reason(whyNotReady());
-    status.set_request_id(incident.body->status_request().request_id());
-    if (incident.body->status_request().with_services()) {
-        profiles_.lookAgain();
-        *status.mutable_services() = profiler_.profile().services();
-        for (auto& finding : inputs_.findings()) status.add_findings()->Swap(&finding);
-        for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
-    }
-    tasks_.describe(status);
-    presence_.describeWatchdogs(back_end_.margins(), status);
-    if (holder() != nullptr && holder()->id == incident.head->sender.id)
-        for (auto& ended : memory_.finals(held()->number)) status.add_ended()->Swap(&ended);
-    tell(incident.head->sender, kMsgStatus, message);
+void EntityManagerCore::describeServices(proto::EntityStatus& status) {
+    profiles_.lookAgain();
+    *status.mutable_services() = profiler_.profile().services();
+    for (auto& finding : inputs_.findings()) status.add_findings()->Swap(&finding);
+    for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
 }
 
 void EntityManagerCore::onTimer() {

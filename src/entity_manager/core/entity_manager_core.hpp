@@ -17,6 +17,7 @@
 #include "entity_manager/core/collaboration/teamwork.hpp"
 #include "entity_manager/core/inputs/inputs.hpp"
 #include "entity_manager/core/journal/journal_writer.hpp"
+#include "entity_manager/core/outgoing_messages.hpp"
 #include "entity_manager/core/ownership/ownership.hpp"
 #include "entity_manager/core/presence/presence.hpp"
 #include "entity_manager/core/presence/profiles.hpp"
@@ -24,9 +25,11 @@
 #include "entity_manager/core/request_reader.hpp"
 #include "entity_manager/core/services/service_profiler.hpp"
 #include "entity_manager/core/services/task_memory.hpp"
+#include "entity_manager/core/status_report.hpp"
 #include "entity_manager/core/stops/latch.hpp"
 #include "entity_manager/core/stops/passed_signals.hpp"
 #include "entity_manager/core/stops/stop_ledger.hpp"
+#include "entity_manager/core/stops/stop_orders.hpp"
 #include "entity_manager/core/streams/holder_channel.hpp"
 #include "entity_manager/core/streams/streams.hpp"
 #include "entity_manager/core/tasks/tasks.hpp"
@@ -51,14 +54,17 @@ namespace axon::entity_manager {
 /// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 ///
 /// It finds the row of each event in the state table and passes each action on to whichever part of the state
-/// it is about (actions.def). The parts see each other through Turn and their Others; the core lends some of
-/// them the journal, the readiness, the services and the memory of tasks.
+/// it is about (actions.def), as it does with what the robot application says (reports.def). The parts see
+/// each other through Turn and their Others; the core lends some of them the journal, the readiness, the
+/// services and the memory of tasks.
 class EntityManagerCore final : private Turn,
+                                private StopOrders::Others,
                                 private Ownership::Others,
                                 private Tasks::Others,
                                 private Teamwork::Others,
                                 private Profiles::Others,
-                                private Inputs::Others {
+                                private Inputs::Others,
+                                private StatusReport::Others {
   public:
     /// Without a journal a task id is known for this life only.
     EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -76,7 +82,10 @@ class EntityManagerCore final : private Turn,
     /// It has been looked for in vain: what was found instead, for whoever asks why the entity is UNAV.
     void onApplicationSought(const std::string& finding);
     void onLinkDown(const std::string& reason, LinkEnd end = LinkEnd::Closed);
-    void onLinkMessage(const proto::EiToEm& message);
+    void onLinkMessage(const proto::EiToEm& message) {
+        auto copy = message;
+        hear(copy);
+    }
     /// The same without a copy of bulk data; the message is left in some valid state.
     void onLinkMessage(proto::EiToEm&& message) { hear(message); }
 
@@ -129,7 +138,7 @@ class EntityManagerCore final : private Turn,
     const LeaseBook::Held* held() const override {
         return ownership_.lease().held() ? &*ownership_.lease().held() : nullptr;
     }
-    EntityStatus status() const;
+    EntityStatus status() const { return status_.forServers(); }
     const CoreCounters& counters() const { return counters_; }
     /// Something for the operator's log: the server has been silent for a good part of what its watchdog
     /// allows. Once a minute at most; empty otherwise. Look after onTimer().
@@ -140,6 +149,9 @@ class EntityManagerCore final : private Turn,
   private:
     /// From the link; the message is left in some valid state.
     void hear(proto::EiToEm& message);
+    void rawCame(proto::LinkRaw& raw) {
+        raw.to().empty() ? holder_channel_.rawCame(raw) : teamwork_.sendRaw(raw);
+    }
     void onSignal(Event event, const Header& head);
 
     // Rows.
@@ -167,20 +179,8 @@ class EntityManagerCore final : private Turn,
 
     // States, profiles, server.
     void profilesAreGood(const proto::BasicProfile& basic) override;
-    void seekServer();
-    /// A lease that outlived the session with the server is found again.
-    Event serverUpEvent() const {
-        return held() != nullptr && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
-    }
     std::string whyNotReady() const { return readiness_.whyNot(state_); }
-    void tellStatus() override;
-    void serverLost(const std::string& reason);
-
-    // Stop.
-    void stopApplication(Incident& incident);
-    void noteStop(const Incident& incident);
-    void acknowledge(const Incident& incident);
-    void deliverStops();
+    void tellStatus() override { presence_.tell(status()); }
 
     // Who holds it.
     void granted(Incident& granted) override;
@@ -192,10 +192,12 @@ class EntityManagerCore final : private Turn,
     bool linked() const override { return link_up_; }
     bool toApplication(const proto::EmToEi& message) override { return back_end_.send(message); }
     void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) override {
-        server_.sendToClientDataSeq(headFor(to, type), message);
+        outgoing_.tellDroppable(to, type, message);
     }
     void tellPeer(Lane lane, const std::string& entity, const char* type,
-                  const proto::ToEntity& message) override;
+                  const proto::ToEntity& message) override {
+        outgoing_.tellPeer(lane, self(), entity, type, message);
+    }
     void warn(std::string text) override { warning_ = std::move(text); }
     void tellNews(std::string text) override { news_ = std::move(text); }
     void lookAgain() override { profiles_.lookAgain(); }
@@ -220,21 +222,38 @@ class EntityManagerCore final : private Turn,
         return tasks_.leavesRoom(service, param);
     }
     void reconfigure(int service, const proto::Param& param) override { tasks_.reconfigure(service, param); }
+    void stopReachesTasks(bool ends) override {
+        tasks_.restamp();
+        if (ends) tasks_.applicationStopped();
+    }
+    std::size_t waitingClients() const override { return ownership_.waiting(); }
+    const std::string& takenFromHolder() const override { return ownership_.taken(); }
+    void describeServices(proto::EntityStatus& status) override;
+    void describeWork(proto::EntityStatus& status) const override {
+        tasks_.describe(status);
+        presence_.describeWatchdogs(back_end_.margins(), status);
+    }
+    TaskCounts taskCounts() const override { return {tasks_.begun(), tasks_.waiting()}; }
+    bool robotMoves() const override { return tasks_.robotMoves(); }
     bool finishesAlone() const override { return tasks_.finishesAlone(); }
     void loseHolder(Incident& lost) override;
     void endSpared(const std::string& why) override { tasks_.endSpared(why); }
-    void controlTask(const Incident& incident) override;
+    void controlTask(const Incident& incident) override {
+        if (!teamwork_.control(incident)) tasks_.control(incident);
+    }
 
     // Messages.
-    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override;
+    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override {
+        outgoing_.tell(to, type, message, lane);
+    }
     using Turn::tell;
-    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal, Lane lane);
+    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal, Lane lane) {
+        outgoing_.reply(to, request_id, refusal, lane);
+    }
     void reply(const Sender& to, const std::string& request_id, const Refusal& refusal) override {
         reply(to, request_id, refusal, Lane::Data);
     }
     void refuse(const Incident& incident, const Refusal& refusal) override;
-    void answerStatus(const Incident& incident);
-    Header headFor(const Sender& to, const char* type);
 
     const EntityManagerCoreSettings settings_;
     const Clock& clock_;
@@ -252,9 +271,11 @@ class EntityManagerCore final : private Turn,
     bool quit_ = false;
     std::string warning_, news_;
 
+    OutgoingMessages outgoing_;
     Presence presence_;
     Ownership ownership_;
     StopLedger stops_;
+    StopOrders stop_orders_;
 
     ServiceProfiler profiler_;
     TaskMemory memory_;
@@ -262,13 +283,13 @@ class EntityManagerCore final : private Turn,
     Profiles profiles_;
     Teamwork teamwork_;
     Inputs inputs_;
+    StatusReport status_;
     Streams streams_{*this};
     HolderChannel holder_channel_{*this};
     RequestReader reader_{*this};
 
     PassedSignals passed_signals_;
 
-    std::int64_t sequence_ = 0;
     CoreCounters counters_;
 };
 

@@ -5,9 +5,11 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <fstream>
 #include <sstream>
+#include <vector>
 
 #include "common/refusal.hpp"
 #include "tests/support/core_rig.hpp"
@@ -162,6 +164,23 @@ TEST(Rights, ServersPassOnWhatTheTableDoesNotKnowForClientsOnly) {
     EXPECT_TRUE(entitiesMaySend("COLLABORATION"));
     EXPECT_TRUE(entitiesMaySend("RAW"));
     EXPECT_FALSE(entitiesMaySend("sendStopSignal"));
+}
+
+TEST(Rights, EachMessageThatAClientMaySendHasARowInTheReference) {
+    std::vector<std::string> lines;
+    std::ifstream page("docs/reference/messages.md");
+    for (std::string line; std::getline(page, line);) lines.push_back(line);
+    for (const auto& right : rights()) {
+        if (right.number == 0 || right.who == Who::Nobody) continue;
+        const auto* field = proto::ToEntity::descriptor()->FindFieldByNumber(right.number);
+        const auto row = "| `" + std::string(right.msg_type) + "` |";
+        const auto message = '`' + field->message_type()->name() + '`';
+        EXPECT_TRUE(std::any_of(lines.begin(), lines.end(),
+                                [&](const std::string& line) {
+                                    return line.starts_with(row) && line.find(message) != std::string::npos;
+                                }))
+            << "docs/reference/messages.md has no row of " << right.msg_type << " with " << message;
+    }
 }
 
 TEST(Rights, ThePageInTheDocumentationIsFresh) {

@@ -7,7 +7,7 @@
 #include <string_view>
 #include <vector>
 
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/ports/journal_record.hpp"
@@ -27,7 +27,7 @@ namespace axon::entity_manager {
 /// How near the dead-man of one hop came to its end: the longest silence of the last minute.
 struct HopMargin {
     std::string hop;  ///< who watches whom
-    LifeSigns::Gap gap;
+    Liveness::Gap gap;
 };
 
 /// How the link to the robot application has ended, which decides whether anybody can say that its robot was

@@ -20,6 +20,7 @@
 #include <thread>
 #include <utility>
 
+#include "common/descriptor.hpp"
 #include "entity_manager/storage/state_files.hpp"
 
 namespace axon::entity_manager {
@@ -89,7 +90,7 @@ class FileResourceStore::Synchroniser {
         wake_.notify_one();
         thread_.join();
     }
-    void add(int fd, fs::path place) {
+    void add(Descriptor file, fs::path place) {
         Job dropped;  // closed after the lock
         {
             const std::lock_guard lock(mutex_);
@@ -97,25 +98,14 @@ class FileResourceStore::Synchroniser {
                 dropped = std::move(jobs_.front());
                 jobs_.pop_front();
             }
-            jobs_.emplace_back(fd, std::move(place));
+            jobs_.push_back({std::move(file), std::move(place)});
         }
         wake_.notify_one();
     }
 
   private:
     struct Job {
-        Job() = default;
-        Job(int file, fs::path at) : fd(file), place(std::move(at)) {}
-        Job(Job&& other) noexcept : fd(std::exchange(other.fd, -1)), place(std::move(other.place)) {}
-        Job& operator=(Job&& other) noexcept {
-            std::swap(fd, other.fd);
-            std::swap(place, other.place);
-            return *this;
-        }
-        ~Job() {
-            if (fd >= 0) ::close(fd);
-        }
-        int fd = -1;
+        Descriptor file;
         fs::path place;
     };
 
@@ -136,7 +126,7 @@ class FileResourceStore::Synchroniser {
     static void synchronise(const Job& job) {
         struct stat ours {
         }, there{};
-        if (::fsync(job.fd) != 0 || ::fstat(job.fd, &ours) != 0) return;
+        if (::fsync(job.file.get()) != 0 || ::fstat(job.file.get(), &ours) != 0) return;
         if (::stat((job.place / "content").c_str(), &there) != 0 || factsOf(ours) != factsOf(there))
             return;  // replaced
         synchroniseFolder(job.place);
@@ -237,7 +227,7 @@ class FileResourceStore::Transfer {
         return written_ == size &&
                std::string_view(reinterpret_cast<const char*>(digest.data()), digest.size()) == sha256;
     }
-    int release() { return file_->release(); }
+    Descriptor release() { return file_->release(); }
     /// Nothing of it will come any more. The last reference may be the caller's, who must not wait for a
     /// close.
     void end() {

@@ -15,6 +15,7 @@
 #include <future>
 #include <sstream>
 
+#include "common/descriptor.hpp"
 #include "support/loopback.hpp"
 
 namespace axon::entity_manager {
@@ -135,19 +136,18 @@ TEST_F(Folder, TheFolderHasOneUserAtATime) {
 struct StuckFile {
     explicit StuckFile(fs::path at) : path(std::move(at)) {
         EXPECT_EQ(::mkfifo(path.c_str(), 0600), 0);
-        fd = ::open(path.c_str(), O_RDWR | O_NONBLOCK);
-        while (::write(fd, "full", 4) > 0) {
+        fd = Descriptor(::open(path.c_str(), O_RDWR | O_NONBLOCK));
+        while (::write(fd.get(), "full", 4) > 0) {
         }
     }
-    ~StuckFile() { ::close(fd); }
     void release() const {
         fs::remove(path);  // first: what is written now must not be put in the place of the value
         char part[4096];
-        while (::read(fd, part, sizeof part) > 0) {
+        while (::read(fd.get(), part, sizeof part) > 0) {
         }
     }
     const fs::path path;
-    int fd;
+    Descriptor fd;
 };
 
 TEST_F(Folder, WhatIsKeptIsNotWaitedForAndIsTriedUntilTheDiskHasIt) {

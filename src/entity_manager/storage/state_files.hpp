@@ -9,6 +9,8 @@
 #include <string_view>
 #include <utility>
 
+#include "common/descriptor.hpp"
+
 // What both that keep something in the state folder do with its files.
 namespace axon::entity_manager {
 
@@ -16,18 +18,13 @@ namespace axon::entity_manager {
 class File {
   public:
     File(const std::filesystem::path& path, int flags) : fd_(::open(path.c_str(), flags | O_CLOEXEC, 0600)) {}
-    ~File() {
-        if (fd_ >= 0) ::close(fd_);
-    }
-    File(const File&) = delete;
-    File& operator=(const File&) = delete;
-    bool isOpen() const { return fd_ >= 0; }
-    int fd() const { return fd_; }
-    int release() { return std::exchange(fd_, -1); }
+    bool isOpen() const { return fd_.open(); }
+    int fd() const { return fd_.get(); }
+    Descriptor release() { return std::move(fd_); }
 
     bool writeAll(std::string_view bytes) const {
         while (!bytes.empty()) {
-            const auto n = ::write(fd_, bytes.data(), bytes.size());
+            const auto n = ::write(fd_.get(), bytes.data(), bytes.size());
             if (n < 0 && errno == EINTR) continue;
             if (n <= 0) return false;
             bytes.remove_prefix(static_cast<std::size_t>(n));
@@ -36,7 +33,7 @@ class File {
     }
 
   private:
-    int fd_;
+    Descriptor fd_;
 };
 
 /// Two digits for each byte.

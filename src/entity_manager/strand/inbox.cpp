@@ -73,12 +73,10 @@ Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes, Share share)
     return wake();
 }
 
-void Inbox::awaitRoom(std::size_t bytes) {
-    std::unique_lock lock(mutex_);
-    while (!(roomy() && fits(bytes, Share::Half))) {
-        awaited_ = true;  // anew each time: somebody else may have taken what was free
-        room_.wait(lock);
-    }
+bool Inbox::hasRoom(std::size_t bytes) const {
+    const std::lock_guard lock(mutex_);
+    return control_events_ <= bounds_.control_events / 4 && control_bytes_ <= bounds_.control_bytes / 4 &&
+           fits(bytes, Share::Half);
 }
 
 Inbox::Verdict Inbox::pushData(Event event, std::size_t bytes) {
@@ -132,10 +130,6 @@ Inbox::Event Inbox::next() {
     } else {
         --control_events_;
         control_bytes_ -= first.bytes;
-        if (awaited_ && roomy()) {
-            awaited_ = false;
-            room_.notify_all();
-        }
     }
     return std::move(first.event);
 }

@@ -2,7 +2,6 @@
 #pragma once
 #include <array>
 #include <atomic>
-#include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -56,20 +55,22 @@ class Inbox {
     /// Whether a passing signal of this sender would be dropped now. False stays false until a signal is
     /// pushed.
     bool wouldDrop(SenderKey from) const;
-    /// Half of the bounds is for those who can wait (awaitRoom); the rest is left to those who cannot. One
+    /// Half of the bounds is for those who can wait (hasRoom); the rest is left to those who cannot. One
     /// event alone always fits.
     enum class Share : std::uint8_t { Whole, Half };
     /// On Overflow the event is still the caller's.
     Verdict pushControl(Event&& event, std::size_t bytes = 0, Share share = Share::Whole);
-    /// Not on the strand: returns when a quarter of the bounds is taken at most and so many bytes fit into
-    /// the half. The strand comes, for what fills it was pushed.
-    void awaitRoom(std::size_t bytes);
+    /// Whether a quarter of the bounds is taken at most and so many bytes fit into the half: who waits for
+    /// room goes on then, and not with each event.
+    bool hasRoom(std::size_t bytes) const;
     /// May drop older data to make room. `bytes` counts towards the bound.
     Verdict pushData(Event event, std::size_t bytes);
 
     /// The next event, signals first, then control and data in the order of their arrival; empty = nothing
     /// left, and the next push answers Scheduled.
     Event take();
+    /// The strand will come. On the strand: where not, nothing waits. Takes no lock.
+    bool scheduled() const { return scheduled_; }
     /// The strand is to come although there is no event. Takes no lock.
     Verdict wake() { return scheduled_.exchange(true) ? Verdict::AlreadyScheduled : Verdict::Scheduled; }
 
@@ -109,14 +110,8 @@ class Inbox {
         return control_events_ == 0 || (control_events_ < bounds_.control_events / part &&
                                         control_bytes_ + bytes <= bounds_.control_bytes / part);
     }
-    /// Those who wait are woken by it, and not for each message.
-    bool roomy() const {
-        return control_events_ <= bounds_.control_events / 4 && control_bytes_ <= bounds_.control_bytes / 4;
-    }
 
     mutable std::mutex mutex_;
-    std::condition_variable room_;
-    bool awaited_ = false;            // guarded by mutex_: room_ is to be told
     std::deque<Waiting> waiting_;     // guarded by mutex_
     std::size_t control_events_ = 0;  // guarded by mutex_
     std::size_t control_bytes_ = 0;   // guarded by mutex_

@@ -74,27 +74,25 @@ TEST_F(InboxTest, WhoCanWaitLeavesHalfToThoseWhoCannot) {
     EXPECT_EQ(seen, "abdegi");
 }
 
-// Whoever is told of room may find that somebody else has taken it, and is told again.
-TEST(InboxThreads, WhoWaitsForRoomGetsItBesideOthersWhoDoNotWait) {
-    constexpr int kEach = 50'000;
-    Inbox inbox({.control_events = 8});
-    std::atomic<int> handled{0};
-    const auto push = [&](Inbox::Share share) {
-        return inbox.pushControl([&handled] { ++handled; }, 1, share) != Inbox::Verdict::Overflow;
-    };
-    std::thread waits([&] {
-        for (int i = 0; i < kEach; ++i)
-            while (!push(Inbox::Share::Half)) inbox.awaitRoom(1);
-    });
-    std::thread does_not([&] {
-        for (int i = 0; i < kEach; ++i)
-            while (!push(Inbox::Share::Whole)) std::this_thread::yield();
-    });
-    while (handled < 2 * kEach)
-        if (const auto event = inbox.take()) event();
-    waits.join();
-    does_not.join();
-    EXPECT_EQ(handled, 2 * kEach);
+// Not with each event that is handled.
+TEST_F(InboxTest, WhoWaitsForRoomGoesOnWhenAQuarterIsTaken) {
+    Inbox inbox({.control_events = 8, .control_bytes = 100});
+    const auto push = [&] { return inbox.pushControl(note('x'), 5, Inbox::Share::Half); };
+    EXPECT_FALSE(inbox.scheduled());
+    EXPECT_TRUE(inbox.hasRoom(50));
+    EXPECT_TRUE(inbox.hasRoom(60)) << "alone";
+    while (push() != Inbox::Verdict::Overflow) {
+    }
+    EXPECT_TRUE(inbox.scheduled());
+    for (int left = 4; left > 2; --left) {
+        EXPECT_FALSE(inbox.hasRoom(5)) << left;
+        inbox.take();
+    }
+    EXPECT_TRUE(inbox.hasRoom(40));
+    EXPECT_FALSE(inbox.hasRoom(41)) << "it would not fit into the half";
+    EXPECT_NE(push(), Inbox::Verdict::Overflow);
+    drain(inbox);
+    EXPECT_FALSE(inbox.scheduled());
 }
 
 TEST_F(InboxTest, OnlyTheFirstPushAfterEmptyNeedsToWakeTheStrand) {

@@ -20,19 +20,19 @@ Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const 
     if (!clientsMaySend(head.msg_type))
         return refuse(RefusalCode::PermissionDenied,
                       head.msg_type + (entitiesMaySend(head.msg_type)
-                                           ? " is what entities say to each other; ask their master by RUN"
+                                           ? " is a message between entities; send RUN to the master instead"
                                            : " is for the server itself: use sendRequest"));
     if (!client.entities.holds(head.entity)) {
         // Who has asked for it may have the grant before this server has the status that tells of it.
         if (bytes > kStrangersBytes && !client.entities.askedForCheckOut(head.entity))
             return refuse(RefusalCode::TooLarge,
                           "a message of more than " + std::to_string(kStrangersBytes / 1024) +
-                              " KiB is taken only of who holds the entity; check it out first");
+                              " KiB is accepted only from the holder of the entity; fix: check it out first");
         if (!client.bytes.admit(clock.now(), static_cast<std::uint32_t>(bytes)))
-            return refuse(RefusalCode::Overloaded, "more than " +
-                                                       std::to_string(kStrangersBytesPerSecond / 1024) +
-                                                       " KiB in a second to entities that it does not hold "
-                                                       "are taken of nobody; send less, or check them out");
+            return refuse(RefusalCode::Overloaded,
+                          "a client may send at most " + std::to_string(kStrangersBytesPerSecond / 1024) +
+                              " KiB in a second to entities that it does not hold; fix: send less, or check "
+                              "them out");
     }
     const bool check_out = head.msg_type == kMsgCheckOut;
     if (!check_out && head.msg_type != kMsgWatch) return false;

@@ -42,7 +42,7 @@ void ClientLog::slowClient(const Sender& client, const std::string& entity) {
 void ClientLog::unaskedHolder(const std::string& entity, const std::string& holder) {
     if (doubts_.admit(clock_.now()))
         note_("entity " + entity + " is not believed: it names " + holder +
-              " as its holder, who has not asked for it");
+              " as its holder, but that client has not asked for it");
 }
 
 }  // namespace axon::front_end_server

@@ -13,8 +13,8 @@ namespace axon::transport {
 /// with the request that opens a session, in the request's context. Ice passes a context on whatever the
 /// contracts say, so that editions which share nothing else can still refuse each other by their numbers.
 /// Through a router and to the neighbours of a server it goes on as it came. Servers that IceStorm joins have
-/// the number in the names of their topics. The direct path needs none: both its ends have shown theirs to a
-/// server.
+/// the number in the names of their topics. The data lane of a direct path says it
+/// too; its signal lane need not, because both its ends have shown theirs to a server.
 inline constexpr const char* kContextContract = "axon-contract";
 
 /// A topic's name with the number: servers of other editions do not meet there.

@@ -22,15 +22,9 @@ TEST(Convert, EnumeratorsOfTheContractsAndOfTheCoresAgree) {
     same(ice::Presence::Left, Presence::Left);
     same(ice::ClientChange::Lost, ClientChange::Lost);
     same(ice::ClientChange::Ended, ClientChange::Ended);
-    same(ice::EntityState::UNAV, EntityState::UNAV);
-    same(ice::EntityState::INIT, EntityState::INIT);
-    same(ice::EntityState::ENVCONN, EntityState::ENVCONN);
-    same(ice::EntityState::IDLE, EntityState::IDLE);
-    same(ice::EntityState::REG, EntityState::REG);
-    same(ice::EntityState::COLLAB, EntityState::COLLAB);
-    same(ice::EntityState::SLAVE, EntityState::SLAVE);
-    same(ice::EntityState::BUSY, EntityState::BUSY);
-    same(ice::EntityState::ERR, EntityState::ERR);
+#define AXON_STATE(name, availability) same(ice::EntityState::name, EntityState::name);
+#include "common/axon/states.def"
+#undef AXON_STATE
     same(ice::StopCause::Unspecified, StopCause::Unspecified);
     same(ice::StopCause::Requested, StopCause::Requested);
     same(ice::StopCause::ClientLost, StopCause::ClientLost);

@@ -14,6 +14,7 @@
 #include <memory>
 #include <optional>
 
+#include "common/descriptor.hpp"
 #include "datagrams/signal_socket.hpp"
 
 namespace axon::transport {
@@ -78,8 +79,7 @@ int socketOf(const Ice::Connection& connection) {
     if (!local || !remote) return -1;
 
     // A new descriptor has the lowest free number, so a young connection is mostly just below the next one.
-    const int next = ::eventfd(0, EFD_CLOEXEC);
-    if (next >= 0) ::close(next);
+    const int next = Descriptor(::eventfd(0, EFD_CLOEXEC)).get();  // and it is free again
     for (int fd = next - 1; fd >= 0 && fd >= next - kLooksBelow; --fd)
         if (isBetween(fd, *local, *remote)) return fd;
 

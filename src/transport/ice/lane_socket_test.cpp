@@ -11,6 +11,7 @@
 #include <future>
 #include <vector>
 
+#include "common/descriptor.hpp"
 #include "datagrams/signal_socket.hpp"
 #include "support/loopback.hpp"
 #include "transport/ice/adapter.hpp"
@@ -66,11 +67,10 @@ TEST_F(LaneSocketTest, BothEndsOfAConnectionAreFoundAndNotTakenForEachOther) {
 }
 
 TEST_F(LaneSocketTest, AConnectionIsFoundBehindAHundredYoungerDescriptors) {
-    std::vector<int> younger;
-    for (int i = 0; i < 100; ++i) younger.push_back(::socket(AF_INET, SOCK_STREAM, 0));
+    std::vector<Descriptor> younger;
+    for (int i = 0; i < 100; ++i) younger.emplace_back(::socket(AF_INET, SOCK_STREAM, 0));
     EXPECT_GE(socketOf(*near_), 0);
     EXPECT_GE(socketOf(*far_), 0);
-    for (const int fd : younger) ::close(fd);
 }
 
 TEST_F(LaneSocketTest, OptionsOfTheSignalLaneAreSetOnBothEnds) {

@@ -10,6 +10,8 @@
 #include <random>
 #include <stdexcept>
 
+#include "common/descriptor.hpp"
+
 namespace axon::transport {
 namespace {
 
@@ -20,7 +22,7 @@ class PropertiesTest : public testing::Test {
   protected:
     PropertiesTest() {
         std::string name = std::filesystem::temp_directory_path() / "axon-properties-XXXXXX";
-        ::close(::mkstemp(name.data()));
+        Descriptor(::mkstemp(name.data())).reset();
         file = name;
     }
     ~PropertiesTest() override { std::filesystem::remove(file); }

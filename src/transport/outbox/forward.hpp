@@ -24,7 +24,7 @@ using Operation = std::function<void()> (Prx::*)(Parameters..., Answered, Failed
 template <class T>
 using Parameter = std::conditional_t<std::is_class_v<T>, const T&, T>;
 
-/// forward<Prx>(&Prx::somethingAsync, more...) is the `call` of CallbackSender::send that makes this one
+/// forward<Prx>(&Prx::somethingAsync, more...) is the `call` of ProxySender::send that makes this one
 /// call. The operation takes, in this order, of the following what its Slice declares: `more` before the
 /// head; the head; `more` behind it; the bytes. The overloads are these forms; the compiler takes the one
 /// that fits. `more` is copied.

@@ -14,6 +14,19 @@ void Outbox::onSent(Traffic traffic, std::size_t bytes, SenderKey from) {
         core_.sent(traffic, bytes, from);
         if (!core_.startPump()) return;
     }
+    pump();
+}
+
+void Outbox::sendAll() {
+    {
+        const std::lock_guard lock(mutex_);
+        core_.openWindow();
+        if (!core_.startPump()) return;
+    }
+    pump();
+}
+
+void Outbox::pump() {
     while (true) {
         std::optional<OutboxCore<Parcel>::Item> item;
         {
@@ -25,14 +38,17 @@ void Outbox::onSent(Traffic traffic, std::size_t bytes, SenderKey from) {
     }
 }
 
-void Outbox::fail() {
+void Outbox::fail(const std::exception_ptr& error) {
     bool was_open = false;
     {
         const std::lock_guard lock(mutex_);
         was_open = !core_.closed();
         core_.close();
     }
-    if (was_open && until_ == Until::Answered) disconnect_(false, "what it is sent does not arrive");
+    if (!was_open || until_ != Until::Answered) return;
+    std::string why = "what it is sent does not arrive";
+    if (error) why += ": " + translate(error).message;
+    disconnect_(false, why);
 }
 
 void Outbox::close() {

@@ -22,12 +22,12 @@ struct SendCallbacks {
 enum class Until : std::uint8_t {
     Written,  ///< to the socket
     /// Control and data: answered by the consumer. A router takes whatever it is sent, and its memory has no
-    /// bound but this one. Signals and heartbeats never wait for an answer.
+    /// bound but this one (and sendAll() goes beyond it). Signals and heartbeats never wait for an answer.
     Answered
 };
 
 /// Messages on their way to one consumer over one lane. Servants' callback adapters (EntityOutbox,
-/// ClientOutbox) and the client's session send through it.
+/// ClientOutbox) and the sessions of clients and Entity Managers send through it.
 ///
 /// Flow: post() asks OutboxCore. Usually nothing is in the way, and the message goes to Ice from the caller's
 /// thread without a copy of our own; otherwise an owning copy waits until Ice has written enough. Threads:
@@ -78,6 +78,9 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         launch(traffic, bytes, kServersOwn, send);
         return true;
     }
+    /// Gives Ice all that waits, however much that is, and what is posted afterwards: before an orderly end,
+    /// at which Ice sends what it has and then closes the connection.
+    void sendAll();
     void close();
     bool closed() const;
     OutboxCounts counts() const;
@@ -86,7 +89,7 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     template <class Send>
     void launch(Traffic traffic, std::size_t bytes, SenderKey from, Send& send) {
         SendCallbacks back;
-        back.failed = [self = shared_from_this()](std::exception_ptr) { self->fail(); };
+        back.failed = [self = shared_from_this()](const std::exception_ptr& error) { self->fail(error); };
         if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
             back.answered = [self = shared_from_this(), traffic, bytes, from] {
                 self->onSent(traffic, bytes, from);
@@ -99,11 +102,13 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         try {
             send(std::move(back));
         } catch (const std::exception&) {
-            fail();  // the connection or the communicator is gone; its close callback tells the owner
+            fail(std::current_exception());  // the connection or the communicator is gone; its close callback
+                                             // tells the owner
         }
     }
     void onSent(Traffic traffic, std::size_t bytes, SenderKey from);
-    void fail();
+    void pump();
+    void fail(const std::exception_ptr& error);
 
     const Disconnect disconnect_;
     const Until until_;

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <limits>
 #include <list>
 #include <optional>
 #include <unordered_map>
@@ -146,6 +147,9 @@ class OutboxCore {
         if (traffic == Traffic::Heartbeat) heartbeat_unsent_ = false;
         ++counts_.sent;
     }
+
+    /// From now on nothing waits because much is unsent.
+    void openWindow() { limits_.window_bytes = std::numeric_limits<std::size_t>::max(); }
 
     /// Whether the caller is the one who must empty the queue now, by next() until there is none.
     bool startPump() {

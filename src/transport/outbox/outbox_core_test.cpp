@@ -141,6 +141,15 @@ TEST(OutboxCore, NothingPassesAMessageThatIsBeingTakenOutOfTheQueue) {
     EXPECT_EQ(offer(core, Traffic::Control, 3, 10), Verdict::Send);
 }
 
+TEST(OutboxCore, NothingWaitsForAWindowThatIsOpen) {
+    Core core(small());
+    for (int i = 0; i < 4; ++i) offer(core, Traffic::Control, i);
+    ASSERT_EQ(core.counts().waiting, 3U);
+    core.openWindow();
+    EXPECT_EQ(pump(core), (std::vector<int>{1, 2, 3}));
+    EXPECT_EQ(offer(core, Traffic::Control, 4), Verdict::Send);
+}
+
 TEST(OutboxCoreShares, OneSenderHasAQuarterAndIsRefusedWithoutHarmToOthers) {
     Core core(shared());
     ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -85,6 +86,26 @@ TEST_F(OutboxTest, BehindARouterAMessageThatDoesNotArriveEndsTheSessionOnce) {
     EXPECT_EQ(ends, std::vector<std::string>{"what it is sent does not arrive"});
     post(Traffic::Control);
     EXPECT_EQ(ways.size(), 2U) << "closed";
+}
+
+TEST_F(OutboxTest, BehindARouterTheEndOfTheSessionSaysWhyAMessageDoesNotArrive) {
+    begin(Until::Answered);
+    post(Traffic::Control);
+    ways[0].failed(std::make_exception_ptr(std::runtime_error("a reason")));
+    ASSERT_EQ(ends.size(), 1U);
+    EXPECT_NE(ends[0].find("what it is sent does not arrive: "), std::string::npos);
+    EXPECT_NE(ends[0].find("a reason"), std::string::npos);
+}
+
+TEST_F(OutboxTest, BeforeAnOrderlyEndAllThatWaitsIsSentInItsOrder) {
+    begin(Until::Written);
+    for (int i = 0; i < 3; ++i) post(Traffic::Control);
+    ASSERT_EQ(ways.size(), 1U);
+    outbox->sendAll();
+    EXPECT_EQ(ways.size(), 3U);
+    post(Traffic::Control);
+    EXPECT_EQ(ways.size(), 4U) << "the last word";
+    EXPECT_TRUE(ends.empty());
 }
 
 TEST_F(OutboxTest, WhoReadsNothingIsDisconnectedForIt) {

@@ -12,6 +12,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdlib>
+#include <iterator>
 #include <memory>
 #include <mutex>
 
@@ -88,6 +89,12 @@ void logToStderr(const std::string& level) {
         std::atexit(flushLog);
     }
     spdlog::set_level(spdlog::level::from_str(level));
+}
+
+bool isLogLevel(std::string_view level) {
+    static constexpr std::string_view kNames[] = {"trace", "debug", "info",     "warning",
+                                                  "warn",  "error", "critical", "off"};
+    return std::find(std::begin(kNames), std::end(kNames), level) != std::end(kNames);
 }
 
 void flushLog() {

@@ -47,6 +47,18 @@ TEST(LogDeathTest, WritesAllLinesBeforeTheExitAndNoControlCharacters) {
         testing::ExitedWithCode(0), "eve.x0aforged line.x1b.2J joined\n.*the last line\n");
 }
 
+TEST(Log, TakesEachLevelThatItNamesAndWarn) {
+    for (const char* level : {"trace", "debug", "info", "warning", "warn", "error", "critical", "off"}) {
+        EXPECT_TRUE(isLogLevel(level)) << level;
+        const bool named = kLogLevels.find(level) != std::string_view::npos;
+        EXPECT_TRUE(named) << level;
+    }
+    for (const char* level : {"", "loud", "Info", "err", "warnings"})
+        EXPECT_FALSE(isLogLevel(level)) << level;
+    EXPECT_EQ(spdlog::level::from_str("warn"), spdlog::level::from_str("warning"));
+    EXPECT_NE(spdlog::level::from_str("warn"), spdlog::level::off);
+}
+
 TEST(Log, WritesControlCharactersAsNumbersAndLeavesTheRest) {
     EXPECT_EQ(withoutControls("Zo\xc3\xab\t\x7f"), "Zo\xc3\xab\\x09\\x7f");
 }

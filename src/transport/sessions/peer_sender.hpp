@@ -8,25 +8,25 @@
 #include <utility>
 
 #include "common/refusal.hpp"
-#include "transport/outbox/callback_sender.hpp"
 #include "transport/outbox/forward.hpp"
+#include "transport/outbox/proxy_sender.hpp"
 #include "transport/sessions/routed_connection.hpp"
 
 namespace axon::transport {
 
-/// How a server sends to the peer of one lane's session, whose callback `Prx` is: a CallbackSender that
+/// How a server sends to the peer of one lane's session, whose callback `Prx` is: a ProxySender that
 /// disconnects the peer where it overflows, with what every callback has. Threads: any. Failure: the peer is
 /// disconnected, or its connection ends, and PeerConnection tells the session.
 template <class Prx>
-class PeerSender : public CallbackSender<Prx> {
+class PeerSender : public ProxySender<Prx> {
   public:
     /// `server` is for the log: "entity server".
     PeerSender(const std::shared_ptr<Prx>& callback, OutboxLimits limits,
                std::shared_ptr<PeerConnection> peer, std::string server)
-        : CallbackSender<Prx>(callback, limits, untilOf(*peer),
-                              [peer](bool improper, const std::string& why) {
-                                  peer->disconnect({improper, why}, false);
-                              }),
+        : ProxySender<Prx>(callback, limits, untilOf(*peer),
+                           [peer](bool improper, const std::string& why) {
+                               peer->disconnect({improper, why}, false);
+                           }),
           peer_(std::move(peer)),
           server_(std::move(server)) {}
 

@@ -16,8 +16,8 @@
 #include "common/result.hpp"
 #include "common/snapshot.hpp"
 #include "transport/ice/communicator.hpp"
-#include "transport/outbox/callback_sender.hpp"
 #include "transport/outbox/forward.hpp"
+#include "transport/outbox/proxy_sender.hpp"
 
 namespace axon::transport {
 
@@ -100,47 +100,41 @@ class TopicPublisher {
     template <class Call>
     void announce(Lane lane, std::size_t bytes, const Call& call) {
         reopen();
-        if (lane == Lane::Signal) return neighbours(Traffic::Heartbeat, std::size_t{0}, call);
-        data(Traffic::Control, bytes, call);
+        if (lane == Lane::Signal) return toNeighbours(lane, Traffic::Heartbeat, std::size_t{0}, call);
+        toAll(Traffic::Control, bytes, call);
     }
 
-    /// Over the topic. Arguments and result are those of CallbackSender::send.
+    /// Over the topic. Arguments, here and below, and result are those of ProxySender::send.
     template <class... Arguments>
-    bool data(Arguments&&... arguments) const {
+    bool toAll(Arguments&&... arguments) const {
         const auto routes = data_.load();  // held, because another thread may store a new one
         bool taken = true;
         for (const auto& route : *routes) taken = route.sender->send(arguments...) && taken;
         return taken;
     }
-    /// To each neighbour, then over the topic.
+    /// On the signal lane: to each neighbour, then over the topic.
     template <class... Arguments>
-    void signal(Arguments&&... arguments) const {
-        neighbours(arguments...);
+    void signalToAll(Arguments&&... arguments) const {
+        toNeighbours(Lane::Signal, arguments...);
         const auto routes = signal_.load();  // held, because another thread may store a new one
         for (const auto& route : *routes) route.sender->send(arguments...);
     }
+    /// To each neighbour, straight.
     template <class... Arguments>
-    void neighbours(Arguments&&... arguments) const {
-        const auto routes = direct_.load();  // held, because another thread may store a new one
-        for (const auto& route : *routes) route.sender->send(arguments...);
-    }
-
-    /// To each neighbour, straight; on the data lane.
-    template <class... Arguments>
-    void neighboursData(Arguments&&... arguments) const {
-        const auto routes = direct_data_.load();
+    void toNeighbours(Lane lane, Arguments&&... arguments) const {
+        const auto routes = directRoutes(lane);
         for (const auto& route : *routes) route.sender->send(arguments...);
     }
     /// To this server alone: straight, or by the topic while it is not reached.
     template <class... Arguments>
-    bool one(const std::string& server, Arguments&&... arguments) const {
-        const auto taken = straight(Lane::Data, server, arguments...);
-        return taken ? *taken : data(arguments...);
+    bool toOne(const std::string& server, Arguments&&... arguments) const {
+        const auto taken = toNeighbour(Lane::Data, server, arguments...);
+        return taken ? *taken : toAll(arguments...);
     }
     /// To this neighbour, straight. Nothing where it is not reached.
     template <class... Arguments>
-    std::optional<bool> straight(Lane lane, const std::string& server, Arguments&&... arguments) const {
-        const auto routes = (lane == Lane::Signal ? direct_ : direct_data_).load();
+    std::optional<bool> toNeighbour(Lane lane, const std::string& server, Arguments&&... arguments) const {
+        const auto routes = directRoutes(lane);
         const auto found = std::find_if(routes->begin(), routes->end(),
                                         [&](const Route& route) { return route.place.server == server; });
         if (found == routes->end()) return std::nullopt;
@@ -157,16 +151,20 @@ class TopicPublisher {
     struct Route {
         Place place;
         std::shared_ptr<Prx> proxy;
-        std::shared_ptr<const CallbackSender<Prx>> sender;
+        std::shared_ptr<const ProxySender<Prx>> sender;
     };
     using Routes = std::vector<Route>;
 
+    /// Held by the caller, because another thread may store new ones.
+    std::shared_ptr<const Routes> directRoutes(Lane lane) const {
+        return (lane == Lane::Signal ? direct_ : direct_data_).load();
+    }
     static void store(Snapshot<Routes>& to, Routes routes) {
         to.store(std::make_shared<const Routes>(std::move(routes)));
     }
-    std::shared_ptr<const CallbackSender<Prx>> sender(const std::shared_ptr<Prx>& proxy,
-                                                      OutboxLimits limits) const {
-        return std::make_shared<const CallbackSender<Prx>>(
+    std::shared_ptr<const ProxySender<Prx>> sender(const std::shared_ptr<Prx>& proxy,
+                                                   OutboxLimits limits) const {
+        return std::make_shared<const ProxySender<Prx>>(
             proxy, limits, Until::Written, [who = who_](bool, const std::string& why) {
                 spdlog::warn("{}: messages cannot be published: {}", who, why);
             });

@@ -342,10 +342,10 @@ void Teamwork::hearMaster(const Sender& master, const proto::FromMaster& message
             const auto* past = pastRun(message.run_id());
             const bool left = past != nullptr && past->master == master.id && !past->reason.ok();
             depart(master, message.run_id(),
-                   left
-                       ? past->reason
-                       : Refusal{
-                             RefusalCode::NotHolder, "The entity takes no part in this run (any more).", {}});
+                   left ? past->reason
+                        : Refusal{RefusalCode::NotHolder,
+                                  "The entity does not take part in this run, or no longer does.",
+                                  {}});
         }
         return;
     }

@@ -203,5 +203,25 @@ TEST_F(Teamworks, RawDataWithoutARunGoesNowhereAndIsAnsweredSeldom) {
     EXPECT_EQ(toRefusal(turn.to_application[0].not_sent().reason()).code, RefusalCode::WrongState);
 }
 
+TEST_F(Teamworks, RawDataOfAPartnerThatTheLinkDoesNotTakeIsCountedAsUndelivered) {
+    auto invited = invitation();
+    invited.mutable_invitation()->add_participants()->set_entity(master.id);
+    teamwork.considerInvitation(master, invited);
+    Header head;
+    head.sender = master;
+    const auto hearRaw = [&] {
+        proto::ToEntity message;
+        message.mutable_raw()->add_data("blocks");
+        EXPECT_TRUE(teamwork.hear(head, message));
+    };
+    hearRaw();
+    ASSERT_EQ(turn.to_application.size(), 1U);
+    EXPECT_EQ(turn.counted.undelivered, 0U);
+    turn.link_takes = false;
+    hearRaw();
+    EXPECT_EQ(turn.to_application.size(), 1U);
+    EXPECT_EQ(turn.counted.undelivered, 1U);
+}
+
 }  // namespace
 }  // namespace axon::entity_manager

@@ -65,7 +65,7 @@ Result<UploadDesk::Progress> UploadDesk::chunk(const proto::ResourceChunk& chunk
     const auto at = uploads_.find(chunk.transfer_id());
     if (at == uploads_.end())
         return Refusal{RefusalCode::UnknownResource,
-                       "There is no such upload (any more). Offer the resource again.",
+                       "There is no such upload, or it has ended. Offer the resource again.",
                        {}};
     auto& upload = at->second;
     if (upload.step == Upload::Step::Placing) return Progress{};  // nothing of it is missing
@@ -163,7 +163,7 @@ Result<UploadDesk::Progress> UploadDesk::accept(const std::string& transfer_id) 
     const auto at = uploads_.find(transfer_id);
     if (at == uploads_.end() || at->second.step != Upload::Step::Asked)
         return Refusal{RefusalCode::UnknownResource,
-                       "There is no such upload (any more). Offer the resource again.",
+                       "There is no such upload, or it has ended. Offer the resource again.",
                        {}};
     at->second.step = Upload::Step::Placing;
     at->second.path = store_.place(transfer_id);

@@ -10,6 +10,7 @@
 
 #include "common/entity_name.hpp"
 #include "common/planted_bug.hpp"
+#include "entity_manager/core/turn/incident.hpp"
 #include "messages/text.hpp"
 
 namespace axon::entity_manager {
@@ -27,13 +28,12 @@ std::int32_t fifthOf(Duration watchdog) {
 
 }  // namespace
 
-Presence::Presence(Turn& turn, ServerPort& server, std::function<void(const std::string& why)> server_lost,
-                   const Settings& settings)
+Presence::Presence(Turn& turn, ServerPort& server, const Settings& settings)
     : turn_(turn),
       server_(server),
-      server_lost_(std::move(server_lost)),
       entity_(settings.entity),
-      watchdog_(settings.watchdog_busy, settings.watchdog_idle, turn.now()) {
+      liveness_(settings.watchdog_busy, settings.watchdog_idle, turn.now()) {
+    liveness_.suspendGaps();  // until there is a session
     registration_.entity = entity_;
     registration_.name =
         isEntityName(settings.application) ? settings.application : inQuotes(settings.application);
@@ -44,53 +44,71 @@ Presence::Presence(Turn& turn, ServerPort& server, std::function<void(const std:
 void Presence::seek() {
     if (std::exchange(silent_, false)) server_.wantConnection(false);
     server_.wantConnection(true);
+    if (up_ && turn_.state() == EntityState::ENVCONN) turn_.fire(upEvent());
+}
+
+/// A lease that outlived the session with the server is found again.
+Event Presence::upEvent() const {
+    return turn_.held() != nullptr && turn_.state() == EntityState::ENVCONN ? Event::ServerReturned
+                                                                            : Event::ServerUp;
+}
+
+void Presence::sessionBegan() {
+    if (up_) sessionEnded("the session with the server was replaced");
+    up();
+    turn_.fire(upEvent());
+}
+
+void Presence::sessionEnded(const std::string& reason) {
+    down();
+    Incident incident{Event::ServerDown};
+    incident.cause = StopCause::ServerLost;
+    incident.reason = {RefusalCode::NotConnected, "The Entity Manager lost the server: " + reason, {}};
+    turn_.fire(incident);
 }
 
 void Presence::up() {
     up_ = true;
-    signs_.allow(watchdog_.timeout(), turn_.now());
+    liveness_.resumeGaps(turn_.now());
     heard();
     told_.reset();
 }
 
 void Presence::heard() {
-    watchdog_.feed(turn_.now());
-    signs_.heard(turn_.now());
+    liveness_.heard(turn_.now());
 }
 
 void Presence::setBusy(bool busy) {
-    if (!AXON_PLANTED(WatchdogAlwaysIdle)) watchdog_.setBusy(busy, turn_.now());
-    signs_.allow(up_ ? watchdog_.timeout() : Duration{}, turn_.now());
+    if (!AXON_PLANTED(WatchdogAlwaysIdle)) liveness_.setBusy(busy, turn_.now());
+    if (!up_) liveness_.suspendGaps();
 }
 
 std::optional<std::string> Presence::whySilent() {
-    if (!up_ || !watchdog_.expired(turn_.now())) return std::nullopt;
+    if (!up_ || !liveness_.expired(turn_.now())) return std::nullopt;
     silent_ = true;
     return "it has been silent for " +
-           std::to_string(std::chrono::duration_cast<milliseconds>(watchdog_.timeout()).count()) + " ms";
+           std::to_string(std::chrono::duration_cast<milliseconds>(liveness_.timeout()).count()) + " ms";
 }
 
 /// Before the watchdog trips, and seldom.
 TimePoint Presence::warnAt() const {
-    const auto at = watchdog_.deadline() -
-                    std::chrono::duration_cast<Duration>(watchdog_.timeout() * (1 - LifeSigns::kWarnFrom));
-    return std::max(at, warn_again_);
+    return std::max(liveness_.lateFrom(), warn_again_);
 }
 
 void Presence::onTimer() {
     const auto now = turn_.now();
     if (up_ && now >= warnAt()) {
-        warn_again_ = now + LifeSigns::kWarnAgain;
-        turn_.warn("the server: " + describe(signs_.longest(now)) +
+        warn_again_ = now + Liveness::kWarnAgain;
+        turn_.warn("the server: " + describe(liveness_.longest(now)) +
                    "; above that the robot stops. The network or one of the two hosts is overloaded");
     }
-    if (!watchdog_.expired(now)) sendPosition();
-    if (const auto why = whySilent()) server_lost_(*why);
+    if (!liveness_.expired(now)) sendPosition();
+    if (const auto why = whySilent()) sessionEnded(*why);
 }
 
 TimePoint Presence::nextDeadline() const {
     auto next = TimePoint::max();
-    if (up_) next = std::min({next, watchdog_.deadline(), warnAt()});
+    if (up_) next = std::min({next, liveness_.deadline(), warnAt()});
     if (rest_told_at_) next = std::min(next, *rest_told_at_);
     if (position_waits_ && up_ && ready_) next = std::min(next, position_sent_ + kPositionPeriod);
     return next;
@@ -98,7 +116,7 @@ TimePoint Presence::nextDeadline() const {
 
 std::optional<HopMargin> Presence::margin() const {
     if (!up_) return std::nullopt;
-    return HopMargin{"entity manager watches server", signs_.longest(turn_.now())};
+    return HopMargin{"entity manager watches server", liveness_.longest(turn_.now())};
 }
 
 void Presence::describeWatchdogs(std::vector<HopMargin> others, proto::EntityStatus& status) const {

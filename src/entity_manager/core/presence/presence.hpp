@@ -2,14 +2,12 @@
 #pragma once
 #include <axon/profile.pb.h>
 
-#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
 
-#include "common/life_signs.hpp"
+#include "common/liveness.hpp"
 #include "common/routed.hpp"
-#include "common/watchdog.hpp"
 #include "entity_manager/core/turn/turn.hpp"
 #include "entity_manager/ports/ports.hpp"
 
@@ -33,15 +31,19 @@ class Presence final : public Owner {
         Duration watchdog_busy;
         Duration watchdog_idle;
     };
-    /// `server_lost`: there is no session any more, or one that counts; why.
-    Presence(Turn& turn, ServerPort& server, std::function<void(const std::string& why)> server_lost,
-             const Settings& settings);
+    Presence(Turn& turn, ServerPort& server, const Settings& settings);
 
     // The session.
 
     bool connected() const { return up_; }
-    /// Wants a session; gives up one that has fallen silent, so that a new one can be made.
+    /// Wants a session; gives up one that has fallen silent, so that a new one can be made. Where there is
+    /// one already, fires ServerUp or ServerReturned.
     void seek();
+    /// Fires ServerUp, or ServerReturned where a lease has outlived the last session; before it ServerDown
+    /// where another session still counted.
+    void sessionBegan();
+    /// There is no session any more, or none that counts; why. Fires ServerDown.
+    void sessionEnded(const std::string& reason);
     void up();
     void down() { up_ = false; }
     void heard();
@@ -49,7 +51,8 @@ class Presence final : public Owner {
     void setBusy(bool busy);
     /// For people: how long the server has been silent, once that is too long.
     std::optional<std::string> whySilent();
-    /// Gives up a silent server, and warns of one that is heard late; sends a position that had to wait.
+    /// Ends the session of a silent server, and warns of one that is heard late; sends a position that had to
+    /// wait.
     void onTimer() override;
     TimePoint nextDeadline() const override;
     /// The longest silence of late; nothing without a session.
@@ -73,17 +76,16 @@ class Presence final : public Owner {
     void tell(EntityStatus status);
 
   private:
+    Event upEvent() const;
     TimePoint warnAt() const;
     void sendPosition();
 
     Turn& turn_;
     ServerPort& server_;
-    const std::function<void(const std::string& why)> server_lost_;
     const std::string entity_;
     bool up_ = false;
     bool silent_ = false;
-    Watchdog watchdog_;
-    LifeSigns signs_;
+    Liveness liveness_;  ///< of the server
     TimePoint warn_again_{};
 
     Registration registration_;

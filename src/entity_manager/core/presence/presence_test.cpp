@@ -45,13 +45,14 @@ struct Presences : testing::Test {
         position.set_xpos(x);
         presence.positionIs(position);
     }
+    std::vector<Event> fired() const {
+        std::vector<Event> events;
+        for (const auto& one : turn.fired) events.push_back(one.event);
+        return events;
+    }
     test::FakeTurn turn;
     NotingServer server;
-    std::vector<std::string> lost;
-    Presence presence{turn,
-                      server,
-                      [this](const std::string& why) { lost.push_back(why); },
-                      {"u", "an application", 250ms, 10s}};
+    Presence presence{turn, server, {"u", "an application", 250ms, 10s}};
 };
 
 TEST_F(Presences, AServerIsSilentAfterTheWatchdogOfWhatTheEntityDoes) {
@@ -72,11 +73,39 @@ TEST_F(Presences, ASessionThatFellSilentIsGivenUpBeforeAnotherIsWanted) {
     presence.up();
     turn.clock.advance(11s);
     presence.onTimer();
-    ASSERT_EQ(lost, std::vector<std::string>{"it has been silent for 10000 ms"});
+    ASSERT_EQ(fired(), std::vector{Event::ServerDown});
+    EXPECT_EQ(turn.fired[0].reason.message,
+              "The Entity Manager lost the server: it has been silent for 10000 ms");
     presence.seek();
     EXPECT_EQ(server.wishes, (std::vector{false, true}));
     presence.seek();
     EXPECT_EQ(server.wishes, (std::vector{false, true, true})) << "once";
+}
+
+TEST_F(Presences, ASessionThatReplacesAnotherEndsThatOneFirst) {
+    presence.sessionBegan();
+    EXPECT_EQ(fired(), std::vector{Event::ServerUp});
+    turn.on_fire = [this](Incident& incident) {
+        EXPECT_EQ(presence.connected(), incident.event == Event::ServerUp);
+    };
+    presence.sessionBegan();
+    EXPECT_EQ(fired(), (std::vector{Event::ServerUp, Event::ServerDown, Event::ServerUp}));
+}
+
+TEST_F(Presences, ALeaseThatHasOutlivedTheSessionIsFoundAgainByTheNextOne) {
+    turn.lease.emplace();
+    turn.in_state = EntityState::ENVCONN;
+    presence.sessionBegan();
+    EXPECT_EQ(fired(), std::vector{Event::ServerReturned});
+}
+
+TEST_F(Presences, ASessionThatIsThereAlreadyWhenOneIsSoughtCountsAsUp) {
+    turn.in_state = EntityState::ENVCONN;
+    presence.seek();
+    EXPECT_TRUE(fired().empty());
+    presence.up();
+    presence.seek();
+    EXPECT_EQ(fired(), std::vector{Event::ServerUp});
 }
 
 TEST_F(Presences, ALateServerIsWarnedOfBeforeItCountsAsLostAndOnceAMinute) {

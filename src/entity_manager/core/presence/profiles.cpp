@@ -83,7 +83,7 @@ void Profiles::uploaded(proto::ProfileUpload& upload) {
     read(upload);
     Incident incident{Event::ProfileUploaded};
     incident.reason = {
-        RefusalCode::Unavailable, "Its profiles are being read anew. Try again in a moment.", {}};
+        RefusalCode::Unavailable, "Its profiles are being read again. Try again in a moment.", {}};
     turn_.fire(incident);
 }
 

@@ -3,8 +3,8 @@
 #include <cstddef>
 #include <string>
 
+#include "common/frame.hpp"
 #include "common/refusal.hpp"
-#include "entity_interfacer/frame.hpp"
 
 namespace axon::entity_manager {
 

@@ -357,5 +357,26 @@ TEST_F(TheTasks, TheLinkBeatsFastFromBeforeTheFirstUntilTheLastHandlerHasReturne
     EXPECT_THAT(back_end.told, ElementsAre(true, false));
 }
 
+TEST_F(TheTasks, AControlThatTheLinkDoesNotTakeIsRefusedAndChangesNothing) {
+    admit('a', "Driving");
+    tasks.dispatchNext();
+    grant('a');
+    Header head;
+    head.sender = turn.lease->holder;
+    proto::ToEntity cancel;
+    cancel.mutable_task_control()->set_task_id(idOf('a').bytes());
+    cancel.mutable_task_control()->set_action(proto::CANCEL);
+    turn.link_takes = false;
+    tasks.control({Event::Cancel, &head, &cancel});
+    ASSERT_EQ(turn.refused.size(), 1U);
+    EXPECT_EQ(turn.refused[0].code, RefusalCode::TooLarge);
+    EXPECT_TRUE(turn.replies.empty());
+    turn.link_takes = true;
+    tasks.control({Event::Cancel, &head, &cancel});
+    ASSERT_EQ(turn.replies.size(), 1U) << "it can still be cancelled";
+    EXPECT_TRUE(turn.replies[0].ok());
+    EXPECT_TRUE(turn.to_application.back().has_cancel());
+}
+
 }  // namespace
 }  // namespace axon::entity_manager

@@ -28,7 +28,7 @@ std::int32_t loadEpoch(Storage& storage) {
     if (!whole || stored.epoch < 0 || stored.epoch == std::numeric_limits<std::int32_t>::max())
         throw std::runtime_error("The stored value \"lease\" is damaged: expected two numbers, found \"" +
                                  *text +
-                                 "\". Remove it only if no client holds a lease of this entity any more.");
+                                 "\". Remove it only if no client still holds a lease of this entity.");
     return stored.epoch;
 }
 

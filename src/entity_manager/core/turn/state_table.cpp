@@ -21,9 +21,6 @@ constexpr Next to(S state) {
     return {Next::Kind::To, state};
 }
 
-constexpr std::array kAllStates{S::UNAV,   S::INIT,  S::ENVCONN, S::IDLE, S::REG,
-                                S::COLLAB, S::SLAVE, S::BUSY,    S::ERR};
-
 class Rows {
   public:
     void add(std::initializer_list<S> states, E event, std::vector<A> actions, Next next) {
@@ -41,7 +38,11 @@ std::vector<Row> makeRows() {
     const auto linked_unheld = {S::INIT, S::ENVCONN, S::IDLE, S::ERR};
     const auto unready = {S::UNAV, S::INIT, S::ERR};
     const auto held = {S::REG, S::COLLAB, S::SLAVE, S::BUSY};
-    const auto any = {S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY, S::ERR};
+    const auto any = {
+#define AXON_STATE(name, availability) S::name,
+#include "common/axon/states.def"
+#undef AXON_STATE
+    };
 
     // The rule above all states: a stop. The signal thread has written it to the Entity Interfacer already.
     rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR, S::REG}, E::Stop,
@@ -357,7 +358,7 @@ std::string stateMachinePage() {
                 (actions.empty() ? "none" : actions) + " | " + toString(rows[i].next) + " |\n";
     }
     page += "\n## Pairs without a row\n\nThe sender of the request is refused with this code.\n\n| request |";
-    for (const auto state : kAllStates) page += std::string(" ") + axon::toString(state) + " |";
+    for (const auto state : kEntityStates) page += std::string(" ") + axon::toString(state) + " |";
     page += "\n|---|";
     for (std::size_t i = 0; i < kStates; ++i) page += "---|";
     page += '\n';
@@ -365,7 +366,7 @@ std::string stateMachinePage() {
         const auto event = static_cast<Event>(e);
         std::string line;
         bool refused = false;
-        for (const auto state : kAllStates) {
+        for (const auto state : kEntityStates) {
             const bool row = findRow(state, event) != nullptr;
             refused = refused || !row;
             line += row ? " · |" : " " + std::string(refusalName(refusalFor(state, event).code)) + " |";

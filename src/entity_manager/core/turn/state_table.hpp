@@ -27,7 +27,7 @@ inline constexpr std::size_t kEvents = 0
 #undef AXON_FACT
 #undef AXON_REQUEST
     ;
-inline constexpr std::size_t kStates = static_cast<std::size_t>(EntityState::ERR) + 1;
+inline constexpr std::size_t kStates = kEntityStates.size();
 
 /// What is done about an event, in the order of the row: actions.def.
 enum class Action : std::uint8_t {

@@ -26,9 +26,9 @@
 
 #include "common/backoff.hpp"
 #include "common/descriptor.hpp"
+#include "common/frame.hpp"
+#include "common/liveness.hpp"
 #include "common/snapshot.hpp"
-#include "common/watchdog.hpp"
-#include "entity_interfacer/frame.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 
 namespace axon::entity_manager {
@@ -96,7 +96,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
           beat_timer_(strand_, clock_),
           search_({settings_.application, settings_.instance, settings_.where, settings_.ports_from},
                   settings_.report_after),
-          watchdog_(settings_.watchdog_busy, settings_.watchdog_idle, now()) {}
+          liveness_(settings_.watchdog_busy, settings_.watchdog_idle, now()) {}
 
     void start() {
         if (closed_ || started_) return;
@@ -172,14 +172,13 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
 
     std::vector<HopMargin> margins() const {
         if (!peer_) return {};
-        return {{"entity manager watches application", signs_.longest(now())},
+        return {{"entity manager watches application", liveness_.longest(now())},
                 {"application watches entity manager", told_}};
     }
 
     void setBusy(bool busy) {
-        if (watchdog_.busy() == busy) return;
-        watchdog_.setBusy(busy, now());
-        if (peer_) signs_.allow(watchdog_.timeout(), now());
+        if (liveness_.busy() == busy) return;
+        liveness_.setBusy(busy, now());
         if (peer_) onBeatTimer();
     }
 
@@ -280,28 +279,26 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     /// False when nobody listens there.
     template <class Done>
     bool shake(std::uint16_t port, proto::LinkLane lane, const std::string& nonce, Done done) {
-        const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-        if (fd < 0) return false;
+        Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+        if (!socket.open()) return false;
         sockaddr_in to{};
         to.sin_family = AF_INET;
         to.sin_port = htons(port);
         ::inet_pton(AF_INET, settings_.where.address.c_str(), &to.sin_addr);
-        int failure = ::connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0 ? 0 : errno;
+        int failure =
+            ::connect(socket.get(), reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0 ? 0 : errno;
         if (failure == EINPROGRESS) {
             // On loopback a refusal has arrived by now, which keeps a look at the whole range cheap.
             socklen_t size = sizeof failure;
-            ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &failure, &size);
+            ::getsockopt(socket.get(), SOL_SOCKET, SO_ERROR, &failure, &size);
         }
-        if (failure != 0) {
-            ::close(fd);
-            return false;
-        }
+        if (failure != 0) return false;
         const int on = 1;
-        ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+        ::setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
         if (lane == proto::LANE_SIGNAL)
-            ::setsockopt(fd, SOL_SOCKET, SO_PRIORITY, &kPriority, sizeof kPriority);
+            ::setsockopt(socket.get(), SOL_SOCKET, SO_PRIORITY, &kPriority, sizeof kPriority);
         const auto handshake = std::make_shared<Handshake>(strand_, port);
-        handshake->socket.assign(tcp::v4(), fd);
+        handshake->socket.assign(tcp::v4(), socket.release());
         handshake->done = std::move(done);
         proto::EmToEi message;
         auto& hello = *message.mutable_hello();
@@ -438,10 +435,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         backoff_.reset();
         next_whole_look_ = {};
         look_timer_.cancel();
-        watchdog_.feed(now());
-        signs_.allow({}, now());  // no gap reaches from one link into the next
-        signs_.allow(watchdog_.timeout(), now());
-        signs_.heard(now());
+        liveness_.restart(now());
         told_ = {};
         announced_ = stop_generations_.generation();
         generation_seen_ = announced_;
@@ -510,8 +504,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 return false;
             }
             if (message.has_beat()) {
-                watchdog_.feed(now());
-                signs_.heard(now());
+                liveness_.heard(now());
                 told_ = {std::chrono::milliseconds{message.beat().longest_gap_ms()},
                          std::chrono::milliseconds{message.beat().allowed_ms()}};
             } else if (message.has_end()) {
@@ -536,21 +529,34 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         ++raw_dropped_;
     }
 
+    /// Nothing is being written.
     void writeNext(const std::shared_ptr<Peer>& peer) {
-        do {
-            auto& next = peer->queued.front();
-            peer->queued_bytes -= next.frame.size();
-            if (next.raw) --peer->queued_raw;
-            peer->writing += next.frame;
-            peer->queued.pop_front();
-        } while (!peer->queued.empty() &&
-                 peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
-        asio::async_write(peer->data, asio::buffer(peer->writing),
+        while (!peer->queued.empty()) {
+            do {
+                auto& next = peer->queued.front();
+                peer->queued_bytes -= next.frame.size();
+                if (next.raw) --peer->queued_raw;
+                peer->writing += next.frame;
+                peer->queued.pop_front();
+            } while (!peer->queued.empty() &&
+                     peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
+            // The end of an asynchronous write would be a turn of the strand, on another thread.
+            const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
+                                     MSG_DONTWAIT | MSG_NOSIGNAL);
+            if (sent != static_cast<ssize_t>(peer->writing.size()))
+                return writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
+            peer->writing.clear();
+        }
+    }
+
+    /// When the socket takes it. A failure is told here, too: never from within send().
+    void writeRest(const std::shared_ptr<Peer>& peer, std::size_t sent) {
+        asio::async_write(peer->data, asio::buffer(peer->writing) + sent,
                           [self = shared_from_this(), peer](const asio::error_code& error, std::size_t) {
                               if (self->peer_ != peer) return;
                               if (error) return self->ended(peer, peer->data_ended);
                               peer->writing.clear();
-                              if (!peer->queued.empty()) self->writeNext(peer);
+                              self->writeNext(peer);
                           });
     }
 
@@ -569,7 +575,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         proto::EmToEi message;
         auto& body = *message.mutable_beat();
         body.set_sequence(++beat_sequence_);
-        body.set_busy(watchdog_.busy());
+        body.set_busy(liveness_.busy());
         body.set_stop_generation(announced_);
         if (const auto signal = signal_.load()) signal->write(message);
     }
@@ -579,12 +585,12 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         const auto peer = peer_;
         beat();
         const auto time = now();
-        if (watchdog_.expired(time)) {
+        if (liveness_.expired(time)) {
             asio::error_code error;
             const bool unread = peer->signal.available(error) > 0 && !error;
-            if (!unread || time >= watchdog_.deadline() + kSlack) {
+            if (!unread || time >= liveness_.deadline() + kSlack) {
                 const auto ms =
-                    std::chrono::duration_cast<std::chrono::milliseconds>(watchdog_.timeout()).count();
+                    std::chrono::duration_cast<std::chrono::milliseconds>(liveness_.timeout()).count();
                 asio::post(strand_, [self = shared_from_this(), peer, ms] {
                     // It was this process that hung, and the application has said so.
                     if (!peer->parting.empty()) return self->closed(peer);
@@ -595,14 +601,14 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 return;
             }
         }
-        if (watchdog_.margin(time) <= 1 - LifeSigns::kWarnFrom && time >= warn_again_) {
-            warn_again_ = time + LifeSigns::kWarnAgain;
-            asio::post(strand_, [self = shared_from_this(), text = describe(signs_.longest(time))] {
+        if (time >= liveness_.lateFrom() && time >= warn_again_) {
+            warn_again_ = time + Liveness::kWarnAgain;
+            asio::post(strand_, [self = shared_from_this(), text = describe(liveness_.longest(time))] {
                 if (!self->closed_) self->events_.onLinkSlow(text);
             });
         }
-        auto next = time + watchdog_.timeout() / 5;
-        if (watchdog_.deadline() > time) next = std::min(next, watchdog_.deadline());
+        auto next = time + liveness_.timeout() / 5;
+        if (liveness_.deadline() > time) next = std::min(next, liveness_.deadline());
         beatAt(next);
     }
 
@@ -659,9 +665,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     Refusal last_refusal_;
     std::shared_ptr<Peer> peer_;
     ApplicationSearch search_;
-    Watchdog watchdog_;
-    LifeSigns signs_;
-    LifeSigns::Gap told_;  // by the application: what it heard of us
+    Liveness liveness_;   // of the application
+    Liveness::Gap told_;  // by the application: what it heard of us
     TimePoint warn_again_{};
     std::uint64_t beat_sequence_ = 0;
     std::uint32_t generation_seen_ = 0;

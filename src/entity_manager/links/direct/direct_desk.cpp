@@ -135,13 +135,13 @@ void DirectDesk::onClosed(const Id128& path, const std::string& why) {
 
 TimePoint DirectDesk::nextDeadline() const {
     if (!path_) return TimePoint::max();
-    return std::min({path_->signs->silence.deadline(), path_->mark_due, path_->answer_due});
+    return std::min({path_->signs->liveness.deadline(), path_->mark_due, path_->answer_due});
 }
 
 void DirectDesk::onTimer() {
     if (!path_) return;
     const auto now = clock_.now();
-    if (now >= path_->signs->silence.deadline())
+    if (now >= path_->signs->liveness.deadline())
         return end("nothing was heard of the client", Rest::SendAgain);
     if (now >= path_->mark_due) {
         if (path_->in->holdsBack())
@@ -149,7 +149,7 @@ void DirectDesk::onTimer() {
         path_->mark_due = TimePoint::max();
     }
     if (now >= path_->answer_due) {
-        if (path_->signs->silence.last() < path_->asked_at)
+        if (path_->signs->liveness.last() < path_->asked_at)
             return end("the client does not answer", Rest::SendAgain);
         path_->answer_due = TimePoint::max();
         out_.acknowledged(path_->signs->acknowledged.load(std::memory_order_relaxed));

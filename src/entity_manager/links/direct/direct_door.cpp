@@ -34,6 +34,7 @@ constexpr std::size_t kHeadBytes = 64;
 /// Connections with a nonce that has not been used yet; more are strangers, and the oldest are forgotten.
 constexpr std::size_t kChallenges = 64;
 
+/// Receipts and beats to the client.
 class IceLane final : public DirectLane {
   public:
     IceLane(std::shared_ptr<Ice::Connection> connection,
@@ -45,21 +46,14 @@ class IceLane final : public DirectLane {
                   connection->disconnect({false, why}, false);
               })) {}
 
-    void send(Keeping keeping, const Header& head, std::shared_ptr<const std::string> message) override {
-        const auto bytes = kHeadBytes + message->size();
-        const bool data = keeping == Keeping::Droppable;
-        const auto call = [data](slice::DirectCallbackPrx& to, const Header& its_head, const std::string& its,
-                                 SendCallbacks&& back) {
-            const auto range = transport::toRange(its);
-            if (data)
-                to.newEntityMsgDataSeqAsync(transport::toDirectHead(its_head), range, nullptr,
-                                            std::move(back.failed), std::move(back.sent));
-            else
-                to.newEntityMsgAsync(transport::toDirectHead(its_head), range, nullptr,
-                                     std::move(back.failed), std::move(back.sent));
+    void send(Keeping, const Header& head, std::shared_ptr<const std::string> message) override {
+        const auto call = [](slice::DirectCallbackPrx& to, const Header& its_head, const std::string& its,
+                             SendCallbacks&& back) {
+            to.newEntityMsgAsync(transport::toDirectHead(its_head), transport::toRange(its), nullptr,
+                                 std::move(back.failed), std::move(back.sent));
         };
         outbox_->post(
-            data ? Traffic::Data : Traffic::Control, bytes,
+            Traffic::Control, kHeadBytes + message->size(),
             [&](SendCallbacks&& back) { call(*callback_, head, *message, std::move(back)); },
             [&] {
                 return transport::Outbox::Parcel(
@@ -89,27 +83,18 @@ class IceLane final : public DirectLane {
     const std::shared_ptr<transport::Outbox> outbox_;
 };
 
-/// One lane of one path. Who sends is what the opening proved, never an argument.
+/// The signal lane of one path. Who sends is what the opening proved, never an argument.
 class SessionServant final : public slice::DirectSession {
   public:
-    SessionServant(Id128 path, Lane lane, Sender sender, std::string entity,
-                   std::shared_ptr<DirectSigns> signs, std::shared_ptr<IceLane> back, const Clock& clock,
-                   std::weak_ptr<DirectEvents> events)
-        : path_(path),
-          lane_(lane),
-          sender_(std::move(sender)),
+    SessionServant(Sender sender, std::string entity, std::shared_ptr<DirectSigns> signs,
+                   std::shared_ptr<IceLane> back, const Clock& clock, std::weak_ptr<DirectEvents> events)
+        : sender_(std::move(sender)),
           entity_(std::move(entity)),
           signs_(std::move(signs)),
           back_(std::move(back)),
           clock_(clock),
           events_(std::move(events)) {}
 
-    void sendToEntity(slice::Head head, ByteRange msg, const Ice::Current& current) override {
-        pass(std::move(head), msg, Keeping::Kept, current);
-    }
-    void sendToEntityDataSeq(slice::Head head, ByteRange data, const Ice::Current& current) override {
-        pass(std::move(head), data, Keeping::Droppable, current);
-    }
     void sendStopSignal(slice::Head head, Axon::CommUtil::StopCause ice_cause,
                         const Ice::Current& current) override {
         auto its = signal(std::move(head), current);
@@ -130,20 +115,15 @@ class SessionServant final : public slice::DirectSession {
         if (const auto events = events_.lock()) events->directClear(std::move(its));
     }
     void keepAlive(double received, bool busy, const Ice::Current& current) override {
-        require(Lane::Signal, current);
+        back_->connection().require(current);
         const bool faster = signs_->heard(clock_.now(), transport::whole(received), busy);
         back_->beat(signs_->passed.load(std::memory_order_acquire), false);
         if (const auto events = faster ? events_.lock() : nullptr) events->directPace();
     }
 
   private:
-    void require(Lane lane, const Ice::Current& current) {
+    Header signal(slice::Head&& head, const Ice::Current& current) {
         back_->connection().require(current);
-        if (lane != lane_)
-            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
-                                               current.operation);
-    }
-    Header proper(slice::Head&& head, const Ice::Current& current) {
         if (head.msgType.size() > transport::kHeadStringMax) {
             back_->connection().disconnect({true, std::string(transport::kImproperHead)}, false);
             throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
@@ -154,19 +134,7 @@ class SessionServant final : public slice::DirectSession {
         its.entity = entity_;
         return its;
     }
-    Header signal(slice::Head&& head, const Ice::Current& current) {
-        require(Lane::Signal, current);
-        return proper(std::move(head), current);
-    }
-    void pass(slice::Head&& head, const ByteRange& bytes, Keeping keeping, const Ice::Current& current) {
-        require(Lane::Data, current);
-        auto its = proper(std::move(head), current);
-        if (const auto events = events_.lock())
-            events->directMsg(path_, keeping, std::move(its), std::string(transport::toView(bytes)));
-    }
 
-    const Id128 path_;
-    const Lane lane_;
     const Sender sender_;
     const std::string entity_;
     const std::shared_ptr<DirectSigns> signs_;
@@ -186,11 +154,12 @@ Refusal wrongState(const char* what) {
     return {RefusalCode::WrongState, std::string("direct path: ") + what, {}};
 }
 
-/// Strangers come here: it gives nonces, reads what they say, and leaves the judgement to the strand.
+/// Strangers come here to open a signal lane: it gives nonces, reads what they say, and leaves the judgement
+/// to the strand.
 class GateServant final : public slice::DirectGate {
   public:
-    GateServant(Lane lane, std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
-        : lane_(lane), entity_(std::move(entity)), clock_(clock), events_(std::move(events)) {}
+    GateServant(std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
+        : entity_(std::move(entity)), clock_(clock), events_(std::move(events)) {}
 
     bool hasSession(const std::string& peer) const { return sessions_->has(peer); }
 
@@ -216,10 +185,10 @@ class GateServant final : public slice::DirectGate {
         its.claim.lease = {opening.held.epoch, opening.held.number};
         const auto client = Id128::parse(opening.client);
         const auto path = Id128::fromBytes(toBytes(opening.path));
-        if (!client || !path || path->isZero() || !callback || its.claim.lane != lane_)
+        if (!client || !path || path->isZero() || !callback || its.claim.lane != Lane::Signal)
             return refuse({RefusalCode::Malformed,
                            "direct path: expected the session UUID of the holder, a path of 16 bytes, a "
-                           "callback, and the lane of this port",
+                           "callback, and the signal lane",
                            {}});
         if (hasSession(transport::DirectConnection::peerOf(*current.con)))
             return refuse(wrongState("expected a connection for each lane; this one has its session"));
@@ -231,17 +200,16 @@ class GateServant final : public slice::DirectGate {
         its.claim.nonce = *nonce;
         its.proof = toBytes(opening.proof);
         its.refuse = refuse;
-        its.admit = [lane = lane_, path = *path, entity = entity_, &clock = clock_, events = events_,
-                     sessions = sessions_, response, current,
-                     callback = transport::callbackProxy(callback, current)](
+        its.admit = [path = *path, entity = entity_, &clock = clock_, events = events_, sessions = sessions_,
+                     response, current, callback = transport::callbackProxy(callback, current)](
                         const Sender& sender, std::shared_ptr<DirectSigns> signs,
                         std::string proof) -> std::shared_ptr<DirectLane> {
             auto back = std::make_shared<IceLane>(current.con, callback);
             const auto peer = back->peer();
             sessions->add(peer);
-            if (lane == Lane::Signal) transport::prepareSignalLane(*current.con);
-            const auto session = current.adapter->addWithUUID(std::make_shared<SessionServant>(
-                path, lane, sender, entity, std::move(signs), back, clock, events));
+            transport::prepareSignalLane(*current.con);
+            const auto session = current.adapter->addWithUUID(
+                std::make_shared<SessionServant>(sender, entity, std::move(signs), back, clock, events));
             back->connection().onClosed([adapter = current.adapter, identity = session->ice_getIdentity(),
                                          path, events, sessions, peer](const transport::CloseReason& reason) {
                 sessions->remove(peer);
@@ -280,7 +248,6 @@ class GateServant final : public slice::DirectGate {
         return std::nullopt;
     }
 
-    const Lane lane_;
     const std::string entity_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
@@ -292,75 +259,84 @@ class GateServant final : public slice::DirectGate {
 
 }  // namespace
 
-struct DirectDoor::Adapters {
-    std::shared_ptr<Ice::ObjectAdapter> data, signal;
-    std::vector<std::shared_ptr<void>> watches;
+/// The port of signals.
+struct DirectDoor::SignalDoor {
+    std::shared_ptr<Ice::ObjectAdapter> adapter;
+    std::shared_ptr<void> watch;
 
-    ~Adapters() {
-        watches.clear();
-        for (const auto& adapter : {data, signal})
-            if (adapter) adapter->destroy();
-    }
-    /// At the first free port of the range that is not `taken`.
-    static std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator,
-                                                      const std::string& name, const std::string& address,
-                                                      DirectPorts ports, std::uint16_t taken) {
-        for (std::uint32_t port = ports.first; port <= ports.last; ++port) {
-            if (port != 0 && port == taken) continue;
-            try {
-                return transport::listen(communicator, name,
-                                         "tcp -h " + address + " -p " + std::to_string(port), 0,
-                                         transport::Idle::Watched);
-            } catch (const std::runtime_error&) {
-                if (port == 0) break;
-            }
-        }
-        throw std::runtime_error("no port to listen on at " + address +
-                                 (ports.first == 0 ? std::string()
-                                                   : ", from " + std::to_string(ports.first) + " to " +
-                                                         std::to_string(ports.last)));
+    ~SignalDoor() {
+        watch.reset();
+        if (adapter) adapter->destroy();
     }
 };
 
-DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports,
-                       std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
-    : adapters_(std::make_unique<Adapters>()) {
-    // A name of its own: many Entity Managers share the communicators, and this one listens anew at another
-    // address.
-    const auto name = "Direct-" + Ice::generateUUID();
-    std::uint16_t taken = 0;
-    const auto open = [&](Lane lane, Ice::Communicator& communicator,
-                          std::shared_ptr<Ice::ObjectAdapter>& adapter) {
-        adapter = Adapters::listen(communicator, name + (lane == Lane::Data ? "-data" : "-signal"), address,
-                                   ports, taken);
-        const auto gate = std::make_shared<GateServant>(lane, entity, clock, events);
+namespace {
+
+/// `listen(port)` at the first port of the range where it does not throw.
+template <class Listen>
+auto listenAtOneOf(const std::string& address, DirectPorts ports, Listen listen) {
+    for (std::uint32_t port = ports.first; port <= ports.last; ++port) {
+        try {
+            return listen(static_cast<std::uint16_t>(port));
+        } catch (const std::runtime_error&) {
+            if (port == 0) break;
+        }
+    }
+    throw std::runtime_error(
+        "no port to listen on at " + address +
+        (ports.first == 0 ? std::string()
+                          : ", from " + std::to_string(ports.first) + " to " + std::to_string(ports.last)));
+}
+
+}  // namespace
+
+DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice,
+                       const std::string& address, DirectPorts ports, const std::string& entity,
+                       const Clock& clock, const std::weak_ptr<DirectEvents>& events)
+    : signal_door_(std::make_unique<SignalDoor>()) {
+    data_door_ = listenAtOneOf(address, ports, [&](std::uint16_t port) {
+        return std::make_unique<DataDoor>(strand, address, port, entity, clock, events);
+    });
+    const auto taken = data_door_->port();
+    data_ = address + ":" + std::to_string(taken);
+    try {
+        // A name of its own: many Entity Managers share the communicators, and this one listens anew at
+        // another address.
+        const auto name = "Direct-" + Ice::generateUUID();
+        auto& adapter = signal_door_->adapter;
+        adapter = listenAtOneOf(address, ports, [&](std::uint16_t port) {
+            if (port == taken) throw std::runtime_error("that of data");
+            return transport::listen(*ice.signal(), name, "tcp -h " + address + " -p " + std::to_string(port),
+                                     0, transport::Idle::Watched);
+        });
+        const auto gate = std::make_shared<GateServant>(entity, clock, events);
         adapter->add(gate, Ice::stringToIdentity(kGate));
-        adapters_->watches.push_back(ice.limits().watch(
+        signal_door_->watch = ice.limits().watch(
             transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
                 return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession
                                               : transport::ConnectionLimits::Peer::Stranger;
-            }}));
-        const auto at = transport::publishedEndpoints(*adapter).front();
-        taken = at.port;
-        return address + ":" + std::to_string(at.port);
-    };
-    data_ = open(Lane::Data, *ice.data(), adapters_->data);
-    signal_ = open(Lane::Signal, *ice.signal(), adapters_->signal);
-    adapters_->data->activate();
-    adapters_->signal->activate();
+            }});
+        signal_ = address + ":" + std::to_string(transport::publishedEndpoints(*adapter).front().port);
+        adapter->activate();
+    } catch (...) {
+        data_door_->shut();
+        throw;
+    }
 }
 
 DirectDoor::~DirectDoor() = default;
 
 void DirectDoor::shut() {
-    adapters_->watches.clear();
-    adapters_->data->deactivate();
-    adapters_->signal->deactivate();
+    data_door_->shut();
+    signal_door_->watch.reset();
+    signal_door_->adapter->deactivate();
 }
 
-DirectDoors::DirectDoors(DirectSettings settings, std::shared_ptr<ServerCommunicators> ice,
-                         std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
-    : settings_(std::move(settings)),
+DirectDoors::DirectDoors(asio::any_io_executor strand, DirectSettings settings,
+                         std::shared_ptr<ServerCommunicators> ice, std::string entity, const Clock& clock,
+                         std::weak_ptr<DirectEvents> events)
+    : strand_(std::move(strand)),
+      settings_(std::move(settings)),
       ice_(std::move(ice)),
       entity_(std::move(entity)),
       clock_(clock),
@@ -372,8 +348,8 @@ std::pair<std::string, std::string> DirectDoors::listen(const std::string& way_t
     if (listens_at_ != address) {
         shut();
         try {
-            doors_.push_back(
-                std::make_unique<DirectDoor>(*ice_, address, settings_.ports, entity_, clock_, events_));
+            doors_.push_back(std::make_unique<DirectDoor>(strand_, *ice_, address, settings_.ports, entity_,
+                                                          clock_, events_));
         } catch (const std::runtime_error& error) {
             spdlog::warn(
                 "clients are not offered a direct path: {} (expected an address of this machine and two free "

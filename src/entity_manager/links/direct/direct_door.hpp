@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/clock.hpp"
+#include "entity_manager/links/direct/data_door.hpp"
 #include "entity_manager/ports/direct_lane.hpp"
 
 namespace axon::entity_manager {
@@ -30,31 +31,35 @@ struct DirectSettings {
     std::function<std::string(const std::string& endpoint)> named = {};
 };
 
-/// Where clients open direct paths: a port for each lane (docs/reference/direct.md). The only file of the
-/// direct path at the Entity Manager that knows Ice.
+/// Where clients open direct paths: a port for each lane (docs/reference/direct.md), that of data by DataDoor
+/// and that of signals over Ice. The only file of the direct path at the Entity Manager that knows Ice.
 ///
-/// Where in the flow: beside EntityCommunicator. Threads: those of the two adapters, one each, the signal
-/// lane's under SCHED_RR where permitted; what they bring goes to `events`. Ownership: listens until shut();
-/// the destructor waits until every opening is answered and joins the threads, so it runs neither on one of
-/// them nor on the strand that answers. Failure: the constructor throws std::runtime_error with the fix
-/// where it cannot listen.
+/// Where in the flow: beside EntityCommunicator. Threads: the strand's alone, and that of the signal lane's
+/// adapter, under SCHED_RR where permitted; what comes goes to `events`. Ownership: listens until shut(); the
+/// destructor waits until every opening is answered and joins the adapter's thread, so it runs neither on it
+/// nor on the strand that answers. Failure: the constructor throws std::runtime_error with the fix where it
+/// cannot listen.
 class DirectDoor {
   public:
-    DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity,
-               const Clock& clock, std::weak_ptr<DirectEvents> events);
+    DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice, const std::string& address,
+               DirectPorts ports, const std::string& entity, const Clock& clock,
+               const std::weak_ptr<DirectEvents>& events);
     ~DirectDoor();
     DirectDoor(const DirectDoor&) = delete;
     DirectDoor& operator=(const DirectDoor&) = delete;
 
     /// Takes no connection any more, and ends those that are there. Does not wait.
     void shut();
+    /// DirectEvents::directMsg() may take more again.
+    void roomAgain() { data_door_->roomAgain(); }
     /// "192.168.0.7:41234".
     const std::string& dataEndpoint() const { return data_; }
     const std::string& signalEndpoint() const { return signal_; }
 
   private:
-    struct Adapters;
-    std::unique_ptr<Adapters> adapters_;
+    struct SignalDoor;
+    std::unique_ptr<DataDoor> data_door_;
+    std::unique_ptr<SignalDoor> signal_door_;
     std::string data_, signal_;
 };
 
@@ -63,16 +68,22 @@ class DirectDoor {
 /// (DirectDoor).
 class DirectDoors {
   public:
-    DirectDoors(DirectSettings settings, std::shared_ptr<ServerCommunicators> ice, std::string entity,
-                const Clock& clock, std::weak_ptr<DirectEvents> events);
+    DirectDoors(asio::any_io_executor strand, DirectSettings settings,
+                std::shared_ptr<ServerCommunicators> ice, std::string entity, const Clock& clock,
+                std::weak_ptr<DirectEvents> events);
 
     /// There is a session with the server: listens at the address where the way there begins, or anew where
     /// that is another one than before. The endpoints to tell holders, data and signals; empty, with a
     /// warning in the log, when there are none.
     std::pair<std::string, std::string> listen(const std::string& way_to_server);
     void shut();
+    /// DirectEvents::directMsg() may take more again.
+    void roomAgain() {
+        for (const auto& door : doors_) door->roomAgain();
+    }
 
   private:
+    const asio::any_io_executor strand_;
     const DirectSettings settings_;
     const std::shared_ptr<ServerCommunicators> ice_;
     const std::string entity_;

@@ -6,11 +6,10 @@
 #include <axon/messages.pb.h>
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <asio/post.hpp>
 #include <asio/steady_timer.hpp>
-#include <atomic>
 
+#include "common/backoff.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 #include "transport/ice/communicator.hpp"
@@ -19,6 +18,8 @@
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/lane_socket.hpp"
 #include "transport/ice/peer_connection.hpp"
+#include "transport/outbox/forward.hpp"
+#include "transport/outbox/proxy_sender.hpp"
 #include "transport/sessions/routed_session.hpp"
 
 namespace axon::entity_manager {
@@ -32,13 +33,25 @@ using ::Axon::EntityComm::EntityCallbackPrx;
 using ::Axon::EntityComm::EntityGatePrx;
 using ::Axon::EntityComm::EntitySessionPrx;
 using transport::ByteRange;
+using transport::forward;
+using transport::toIce;
 using transport::toRange;
+using transport::Traffic;
 
-constexpr auto kFirstBackoff = 100ms;
-constexpr auto kLastBackoff = 2000ms;
+constexpr Duration kFirstBackoff = 100ms;
+constexpr Duration kLastBackoff = 2s;
 constexpr int kLoginTimeoutMs = 3000;
-constexpr std::size_t kDataInFlight = 4U << 20U;
-constexpr std::size_t kControlInFlight = 16U << 20U;
+
+/// What may wait for a server that does not read. At least 256 bytes are counted for each message, so of
+/// control and data the bounds of bytes are met first. Signals: a master beats to 256 participants every
+/// 50 ms, and the connection gives up after 3 s.
+transport::OutboxLimits outboxLimits(Lane lane) {
+    auto limits = lane == Lane::Signal ? transport::OutboxLimits::ofSignals() : transport::OutboxLimits{};
+    limits.control_bytes = 16 * 1024 * 1024;
+    limits.control_messages = limits.data_messages = 64 * 1024;
+    limits.signals_unsent = 16 * 1024;
+    return limits;
+}
 
 /// Carries what the server pushes to the events, and nothing else. One per lane.
 class EntityCallbackServant final : public EntityCallback {
@@ -106,7 +119,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         if (wanted == wanted_) return;
         wanted_ = wanted;
         if (wanted) {
-            backoff_ = kFirstBackoff;
+            backoff_.reset();
             login();
             return;
         }
@@ -126,56 +139,50 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         if (!up_) return;
         busy_period_ = std::chrono::milliseconds(registration.heartbeat_busy_ms);
         idle_period_ = std::chrono::milliseconds(registration.heartbeat_idle_ms);
-        const auto bytes = profile.SerializeAsString();
-        const auto attempt = attempt_;
-        guarded([&] {
-            session_->sendBasicPrflAsync(
-                transport::toIce(registration), toRange(bytes), toRange(address_.secret),
-                [weak = weak_from_this(), attempt] {
+        // A call of its own: it wants an answer on any way, which tells that the entity is registered.
+        const auto call =
+            [session = session_, its = toIce(registration), secret = address_.secret, weak = weak_from_this(),
+             attempt = attempt_, refused = failure(attempt_, "registration")](
+                EntitySessionPrx&, const wire::Header&, const ByteRange& bytes,
+                const transport::Answered& answered, const transport::Failed&, transport::Sent sent) {
+                const auto accepted = [weak, attempt, answered] {
+                    if (answered) answered();
                     if (const auto self = weak.lock())
                         self->post([attempt](Connection& me) {
                             if (attempt == me.attempt_) me.registered();
                         });
-                },
-                failure(attempt, "registration"));
-        });
+                };
+                session->sendBasicPrflAsync(its, bytes, toRange(secret), accepted, refused, std::move(sent));
+            };
+        data_outbox_->send(Traffic::Control, {}, profile.SerializeAsString(), call);
     }
 
     void sendStatus(const EntityStatus& status) {
         if (!up_) return;
         const bool busy = status.state == EntityState::BUSY;
-        guarded([&] { oneway_->sendStatusAsync(transport::toIce(status), [] {}, {}, {}); });
+        data_outbox_->send(Traffic::Control, textBytes(status),
+                           forward<EntitySessionPrx>(&EntitySessionPrx::sendStatusAsync, toIce(status)));
         if (std::exchange(busy_, busy) != busy) keepAlive();
     }
 
     void sendToClientBytes(Lane lane, const Header& head, const std::string& message) {
-        sendControl(lane, message, [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
-            proxy.sendToClientAsync(transport::toIce(head), toRange(bytes), back...);
-        });
+        if (!up_) return;
+        outbox(lane).send(trafficOf(lane), head, message,
+                          forward<EntitySessionPrx>(&EntitySessionPrx::sendToClientAsync));
     }
 
     void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+        if (!up_) return;
         // Raw data may be dropped, as that for a client; it must not cost the session.
-        if (head.msg_type == kMsgRaw && up_ && *in_flight_ > kDataInFlight) {
-            ++dropped_;
-            return;
-        }
-        sendControl(lane, message.SerializeAsString(),
-                    [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
-                        proxy.sendToPeerAsync(transport::toIce(head), toRange(bytes), back...);
-                    });
+        const bool raw = lane == Lane::Data && head.msg_type == kMsgRaw;
+        outbox(lane).send(raw ? Traffic::Data : trafficOf(lane), head, message.SerializeAsString(),
+                          forward<EntitySessionPrx>(&EntitySessionPrx::sendToPeerAsync));
     }
 
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
         if (!up_) return;
-        if (*in_flight_ > kDataInFlight) {
-            ++dropped_;
-            return;
-        }
-        const auto bytes = message.SerializeAsString();
-        send(bytes, paced_, [&](auto& proxy, auto... back) {
-            proxy.sendToClientDataSeqAsync(transport::toIce(head), toRange(bytes), back...);
-        });
+        data_outbox_->send(Traffic::Data, head, message.SerializeAsString(),
+                           forward<EntitySessionPrx>(&EntitySessionPrx::sendToClientDataSeqAsync));
     }
 
     std::string localAddress() const {
@@ -183,40 +190,27 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                                 : std::string();
     }
 
-    std::uint64_t dropped() const { return dropped_; }
-
   private:
-    /// `call(proxy, bytes, answered, failed, sent)`.
-    template <class Call>
-    void sendControl(Lane lane, const std::string& bytes, Call call) {
-        if (!up_) return;
-        if (*in_flight_ > kControlInFlight) {
-            // Posted, because the core is waiting for this call to return.
-            post([attempt = attempt_](Connection& self) {
-                self.failed(attempt, "the server does not read what it is sent");
-            });
-            return;
-        }
-        send(bytes, lane == Lane::Signal ? signal_oneway_ : paced_,
-             [&](auto& proxy, auto... back) { call(proxy, bytes, back...); });
+    using LaneOutbox = transport::ProxySender<EntitySessionPrx>;
+
+    static Traffic trafficOf(Lane lane) { return lane == Lane::Signal ? Traffic::Signal : Traffic::Control; }
+    const LaneOutbox& outbox(Lane lane) const {
+        return lane == Lane::Signal ? *signal_outbox_ : *data_outbox_;
     }
 
-    /// Counts the bytes from the call until Ice has written them, or the server has answered.
-    template <class Call>
-    void send(const std::string& bytes, const std::shared_ptr<EntitySessionPrx>& proxy, Call call) {
-        const auto size = bytes.size();
-        const auto in_flight = in_flight_;
-        *in_flight += size;
-        const auto left = [in_flight, size] { *in_flight -= size; };
-        guarded([&] {
-            if (proxy->ice_isTwoway()) {
-                call(*proxy, std::function<void()>(left), failure(attempt_, "sending"),
-                     std::function<void(bool)>());
-            } else {
-                call(*proxy, std::function<void()>(), std::function<void(std::exception_ptr)>(),
-                     std::function<void(bool)>([left](bool) { left(); }));
-            }
-        });
+    std::unique_ptr<const LaneOutbox> makeOutbox(Lane lane, const std::shared_ptr<EntitySessionPrx>& session,
+                                                 const std::shared_ptr<Ice::Connection>& connection) {
+        return std::make_unique<const LaneOutbox>(
+            session->ice_oneway()->ice_invocationTimeout(-1), outboxLimits(lane),
+            address_.router.empty() ? transport::Until::Written : transport::Until::Answered,
+            [weak = weak_from_this(), attempt = attempt_, connection](bool improper, const std::string& why) {
+                // Posted, because the core waits for the call that was one too many.
+                if (const auto self = weak.lock())
+                    self->post([attempt, reason = improper
+                                                      ? "the server does not read what it is sent"
+                                                      : why](Connection& me) { me.failed(attempt, reason); });
+                connection->close(Ice::ConnectionClose::Gracefully);  // also of one that has been left
+            });
     }
 
     /// AMI calls may throw at once; the close callback of the connection reports the loss, so there is
@@ -401,11 +395,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     }
 
     void joined() {
-        oneway_ = Ice::uncheckedCast<EntitySessionPrx>(session_->ice_oneway()->ice_invocationTimeout(-1));
-        signal_oneway_ =
-            Ice::uncheckedCast<EntitySessionPrx>(signal_session_->ice_oneway()->ice_invocationTimeout(-1));
-        paced_ = address_.router.empty() ? oneway_ : session_->ice_invocationTimeout(-1);
-        in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
+        data_outbox_ = makeOutbox(Lane::Data, session_, data_connection_);
+        signal_outbox_ = makeOutbox(Lane::Signal, signal_session_, signal_connection_);
         up_ = true;
         busy_ = false;
         asked_ = false;
@@ -417,36 +408,55 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void registered() {
         registered_ = true;
         said_ = false;
-        backoff_ = kFirstBackoff;
+        backoff_.reset();
     }
 
     void keepAlive() {
         if (!up_) return;
-        guarded([&] {
-            const auto beat = static_cast<double>(++beats_);
-            // A router says nothing of a server that has died, but for a call that wants an answer.
-            if (address_.router.empty() || std::exchange(asked_, true)) {
-                signal_oneway_->keepAliveAsync(beat, [] {}, {}, {});
-                return;
-            }
-            signal_session_->keepAliveAsync(
-                beat,
-                [weak = weak_from_this(), attempt = attempt_] {
-                    if (const auto self = weak.lock())
-                        self->post([attempt](Connection& me) {
-                            if (attempt == me.attempt_) me.asked_ = false;
-                        });
-                },
-                failure(attempt_, "sign of life"));
-        });
+        const auto beat = static_cast<double>(++beats_);
+        // A router says nothing of a server that has died, but for a call that wants an answer.
+        if (address_.router.empty() || std::exchange(asked_, true)) {
+            signal_outbox_->send(Traffic::Heartbeat, 0,
+                                 forward<EntitySessionPrx>(&EntitySessionPrx::keepAliveAsync, beat));
+        } else {
+            guarded([&] {
+                signal_session_->keepAliveAsync(
+                    beat,
+                    [weak = weak_from_this(), attempt = attempt_] {
+                        if (const auto self = weak.lock())
+                            self->post([attempt](Connection& me) {
+                                if (attempt == me.attempt_) me.asked_ = false;
+                            });
+                    },
+                    failure(attempt_, "sign of life"));
+            });
+        }
         beat_.at(clock_.now() + (busy_ ? busy_period_ : idle_period_), [weak = weak_from_this()] {
             if (const auto self = weak.lock()) self->keepAlive();
         });
     }
 
-    /// An orderly end: the server hears of it before the connection closes.
+    /// An orderly end: the server hears of it, and of all that was sent before, before the connection closes.
+    /// The outbox may be sending that on another thread at this moment, so the last message closes it.
     void leave() {
-        guarded([&] { oneway_->leaveAsync([] {}, {}, {}); });
+        data_outbox_->sendAll();
+        data_outbox_->send(Traffic::Control, 0,
+                           [say = forward<EntitySessionPrx>(&EntitySessionPrx::leaveAsync),
+                            connection = std::exchange(data_connection_, nullptr)](
+                               EntitySessionPrx& session, transport::Answered answered,
+                               transport::Failed failed, transport::Sent sent) {
+                               say(session, std::move(answered), std::move(failed), std::move(sent));
+                               connection->close(Ice::ConnectionClose::Gracefully);
+                           });
+        noteDropped();
+        data_outbox_ = nullptr;  // not closed: what waits there goes on
+    }
+
+    void noteDropped() const {
+        if (const auto dropped = data_outbox_->counts().dropped; dropped > 0)
+            spdlog::info(
+                "{} data messages to the entity server at {} were dropped, it did not read them in time",
+                dropped, address_.text());
     }
 
     void lost(const std::string& reason) {
@@ -461,8 +471,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         else if (!std::exchange(said_, true))
             spdlog::warn("no session with the entity server at {} ({}); trying again until there is one",
                          address_.text(), reason);
-        retry_.expires_after(backoff_);
-        backoff_ = std::min<std::chrono::milliseconds>(backoff_ * 2, kLastBackoff);
+        retry_.expires_after(backoff_.next());
         retry_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
             if (cancelled) return;
             const auto self = weak.lock();
@@ -474,6 +483,11 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         ++attempt_;
         up_ = false;
         registered_ = false;
+        if (data_outbox_) noteDropped();
+        for (auto* outbox : {&data_outbox_, &signal_outbox_}) {
+            if (*outbox) (*outbox)->close();
+            outbox->reset();
+        }
         retry_.cancel();
         beat_.cancel();
         forget(data_callback_, ice_->dataAdapter());
@@ -482,7 +496,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             if (*connection) (*connection)->close(Ice::ConnectionClose::Gracefully);
             connection->reset();
         }
-        session_ = signal_session_ = oneway_ = paced_ = signal_oneway_ = nullptr;
+        session_ = signal_session_ = nullptr;
     }
 
     void forget(std::shared_ptr<EntityCallbackPrx>& callback,
@@ -508,10 +522,9 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     const std::shared_ptr<EntityCallbackServant> data_servant_, signal_servant_;
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
-    std::shared_ptr<EntitySessionPrx> session_, signal_session_, oneway_, signal_oneway_;
-    std::shared_ptr<EntitySessionPrx> paced_;  // of messages and data: answered where there is a router
-    std::shared_ptr<std::atomic<std::size_t>> in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
-    std::chrono::milliseconds backoff_ = kFirstBackoff;
+    std::shared_ptr<EntitySessionPrx> session_, signal_session_;
+    std::unique_ptr<const LaneOutbox> data_outbox_, signal_outbox_;  // while it is up
+    Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;
     std::uint64_t beats_ = 0;
     std::chrono::milliseconds busy_period_{50};  // of the registration: what the server expects
@@ -523,7 +536,6 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     bool said_ = false;
     bool asked_ = false;  // a sign of life is on its way that wants an answer
     bool closed_ = false;
-    std::atomic<std::uint64_t> dropped_{0};
 };
 
 EntityCommunicator::EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
@@ -559,9 +571,6 @@ void EntityCommunicator::sendToClientDataSeq(const Header& head, const proto::To
 }
 std::string EntityCommunicator::localAddress() const {
     return connection_->localAddress();
-}
-std::uint64_t EntityCommunicator::droppedData() const {
-    return connection_->dropped();
 }
 
 }  // namespace axon::entity_manager

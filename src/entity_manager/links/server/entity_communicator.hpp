@@ -55,11 +55,12 @@ class ServerEvents {
 /// signals, on two communicators that many Entity Managers of a process share (docs/reference/sessions.md).
 /// States: unwanted; connecting (retries for ever, 100 ms to 2 s apart); up.
 /// Threads: ServerPort's functions on the strand given; events on Ice's threads. Never blocks.
-/// Failure: either connection lost = serverDown with the reason, both are closed and tried again. When the
-/// server does not read, data is dropped and counted beyond 4 MiB in flight, and beyond 16 MiB the server
-/// counts as lost. Through a Glacier2 router both lanes are sessions of the same server; what is in flight
-/// there is what the server has not answered, and a server that has died is noticed by a sign of life that is
-/// not answered.
+/// Failure: either connection lost = serverDown with the reason, both are closed and tried again. Each lane
+/// has an Outbox: of a server that does not read, 4 MiB of data wait and then the oldest is dropped, and when
+/// more than 16 MiB of control messages wait the server counts as lost. With more than 16,384
+/// unsent signals it counts as lost too. Through a Glacier2 router both lanes are sessions of the same server;
+/// at most 256 KiB are unanswered there at a time, the rest waits here, and a server that has died is noticed
+/// by a sign of life that is not answered.
 class EntityCommunicator final : public RelayedWay {
   public:
     EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
@@ -78,7 +79,6 @@ class EntityCommunicator final : public RelayedWay {
     /// The address of this machine at which the way to the server begins; empty while there is no session. On
     /// the strand.
     std::string localAddress() const;
-    std::uint64_t droppedData() const;
 
   private:
     class Connection;

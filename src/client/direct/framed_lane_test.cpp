@@ -1,0 +1,354 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The client's end of a data lane and the two threads that read it, beside an Entity Manager's end that the
+// test plays over loopback.
+#include "client/direct/framed_lane.hpp"
+
+#include <arpa/inet.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+
+#include <condition_variable>
+#include <functional>
+#include <thread>
+#include <vector>
+
+#include "direct/lane/frames.hpp"
+#include "support/loopback.hpp"
+
+namespace axon::client {
+namespace {
+
+using namespace std::chrono_literals;
+using direct::Keeping;
+using direct::lane::Kind;
+using direct::lane::ManagerOpening;
+using test::waitUntil;
+
+const std::string kKey = "0123456789abcdef";
+
+/// What a path would do; what a message does in its callback is the test's.
+struct Path final : FramedLane::Owner {
+    void laneOpen() override { open = true; }
+    void laneMessage(const direct::lane::MessageView& message) override {
+        std::function<void()> callback;
+        {
+            const std::lock_guard lock(mutex);
+            came.push_back(message.sequence);
+            callback = on_message;
+        }
+        if (callback) callback();
+    }
+    void laneRead() override {
+        std::function<void()> callback;
+        {
+            const std::lock_guard lock(mutex);
+            callback = on_read;
+        }
+        if (callback) callback();
+    }
+    void laneOver(const std::string& why) override {
+        const std::lock_guard lock(mutex);
+        reason = why;
+        over = true;
+    }
+    std::size_t count() {
+        const std::lock_guard lock(mutex);
+        return came.size();
+    }
+    bool inOrder() {
+        const std::lock_guard lock(mutex);
+        for (std::size_t i = 0; i < came.size(); ++i)
+            if (came[i] != static_cast<std::int64_t>(i) + 1) return false;
+        return true;
+    }
+    std::atomic<bool> open{false}, over{false};
+    std::mutex mutex;
+    std::vector<std::int64_t> came;
+    std::string reason;
+    std::function<void()> on_message, on_read;
+};
+
+/// Blocks whoever passes while it is shut.
+struct Barrier {
+    void pass() {
+        std::unique_lock lock(mutex);
+        ++inside;
+        changed.notify_all();
+        changed.wait(lock, [this] { return open; });
+    }
+    void letGo() {
+        const std::lock_guard lock(mutex);
+        open = true;
+        changed.notify_all();
+    }
+    bool taken() {
+        const std::lock_guard lock(mutex);
+        return inside > 0;
+    }
+    std::mutex mutex;
+    std::condition_variable changed;
+    bool open = false;
+    int inside = 0;
+};
+
+class FramedLaneTest : public ::testing::Test {
+  protected:
+    FramedLaneTest() {
+        address_.sin_family = AF_INET;
+        address_.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+        socklen_t size = sizeof address_;
+        EXPECT_EQ(::bind(listens_.get(), reinterpret_cast<const sockaddr*>(&address_), size), 0);
+        EXPECT_EQ(::listen(listens_.get(), 8), 0);
+        ::getsockname(listens_.get(), reinterpret_cast<sockaddr*>(&address_), &size);
+    }
+    ~FramedLaneTest() override { readers->end(); }
+
+    std::shared_ptr<FramedLane> begin(const std::shared_ptr<Path>& path, Duration timeout = 5s) {
+        auto socket =
+            direct::lane::LaneSocket::connectTo("127.0.0.1:" + std::to_string(ntohs(address_.sin_port)));
+        EXPECT_TRUE(socket.ok());
+        const auto its = std::make_shared<direct::Claim>(claim);
+        auto lane = std::make_shared<FramedLane>(
+            readers, std::move(socket).value(),
+            direct::lane::ClientOpening(
+                claim,
+                [its](const Id128& nonce) {
+                    its->nonce = nonce;
+                    return direct::proofOf(*its, direct::Prover::Client, kKey);
+                },
+                [its](std::string_view proof) {
+                    return direct::proves(proof, *its, direct::Prover::EntityManager, kKey);
+                }),
+            transport::OutboxLimits{}, nullptr, clock, path);
+        lane->start(timeout);
+        return lane;
+    }
+    Descriptor accept() { return Descriptor(::accept(listens_.get(), nullptr, nullptr)); }
+    static void say(const Descriptor& socket, const std::string& bytes) {
+        EXPECT_EQ(::send(socket.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL),
+                  static_cast<ssize_t>(bytes.size()));
+    }
+    static std::string hear(const Descriptor& socket, axon::FrameReader& reader) {
+        std::string frame;
+        while (!reader.next(frame)) {
+            char bytes[4096];
+            const auto came = ::recv(socket.get(), bytes, sizeof bytes, 0);
+            if (came <= 0) return {};
+            reader.feed({bytes, static_cast<std::size_t>(came)});
+        }
+        return frame;
+    }
+    /// The Entity Manager's half of an opening.
+    Descriptor admit() {
+        auto socket = accept();
+        ManagerOpening opening(Id128::random(random));
+        say(socket, opening.greeting());
+        axon::FrameReader reader;
+        const auto heard = opening.onFrame(hear(socket, reader));
+        EXPECT_EQ(heard.index(), 0U);
+        if (const auto* claimed = std::get_if<ManagerOpening::Claimed>(&heard)) {
+            EXPECT_TRUE(direct::proves(claimed->proof, claimed->claim, direct::Prover::Client, kKey));
+            say(socket, opening.admit(direct::proofOf(claimed->claim, direct::Prover::EntityManager, kKey)));
+        }
+        return socket;
+    }
+    static std::string message(std::int64_t sequence, const std::string& content = "content") {
+        Header head;
+        head.sequence = sequence;
+        const auto bytes = direct::lane::headOf(Keeping::Kept, head, content.size());
+        return std::string(bytes.value().view()) + content;
+    }
+
+    SteadyClock clock;
+    SeededRandom random{1};
+    direct::Claim claim{Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
+    std::shared_ptr<LaneReaders> readers = std::make_shared<LaneReaders>(clock);
+
+  private:
+    Descriptor listens_{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
+    sockaddr_in address_{};
+};
+
+TEST_F(FramedLaneTest, OpensAndCarriesMessagesBothWays) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    std::string burst;
+    for (std::int64_t i = 1; i <= 1000; ++i) burst += message(i);
+    say(manager, burst);
+    ASSERT_TRUE(waitUntil([&] { return path->count() == 1000; }));
+    EXPECT_TRUE(path->inOrder());
+    Header head;
+    head.sequence = 7;
+    lane->send(Keeping::Kept, head, std::make_shared<const std::string>("to the entity"));
+    axon::FrameReader reader;
+    const auto frame = hear(manager, reader);
+    ASSERT_TRUE(direct::lane::messageIn(frame));
+    EXPECT_EQ(direct::lane::messageIn(frame)->content, "to the entity");
+    ::shutdown(manager.get(), SHUT_RDWR);
+    ASSERT_TRUE(waitUntil([&] { return path->over.load(); }));
+}
+
+TEST_F(FramedLaneTest, WhatCameBeforeTheEndIsTold) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    {
+        const auto manager = admit();
+        ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+        std::string burst;
+        for (std::int64_t i = 1; i <= 3000; ++i) burst += message(i, std::string(500, 'x'));
+        say(manager, burst);
+    }
+    ASSERT_TRUE(waitUntil([&] { return path->over.load(); }));
+    EXPECT_EQ(path->count(), 3000U);
+    EXPECT_TRUE(path->inOrder());
+}
+
+// The other thread is the relief for that.
+TEST_F(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
+    const auto blocked = std::make_shared<Path>(), other = std::make_shared<Path>();
+    Barrier barrier;
+    blocked->on_message = [&] { barrier.pass(); };
+    const auto first = begin(blocked);
+    const auto manager_of_first = admit();
+    const auto second = begin(other);
+    const auto manager_of_second = admit();
+    ASSERT_TRUE(waitUntil([&] { return blocked->open && other->open; }));
+    say(manager_of_first, message(1));
+    ASSERT_TRUE(waitUntil([&] { return barrier.taken(); }));
+    for (std::int64_t i = 1; i <= 10; ++i) {
+        say(manager_of_second, message(i));
+        ASSERT_TRUE(waitUntil([&] { return other->count() == static_cast<std::size_t>(i); }));
+    }
+    barrier.letGo();
+    EXPECT_TRUE(other->inOrder());
+}
+
+TEST_F(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThreadInOrder) {
+    const auto path = std::make_shared<Path>();
+    Barrier barrier;
+    const auto lane = begin(path);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    {
+        const std::lock_guard lock(path->mutex);
+        path->on_read = [&, first = std::make_shared<std::atomic<bool>>(true)] {
+            if (first->exchange(false)) barrier.pass();
+        };
+    }
+    say(manager, message(1));
+    ASSERT_TRUE(waitUntil([&] { return barrier.taken(); }));
+    for (std::int64_t i = 2; i <= 200; ++i) say(manager, message(i));
+    ASSERT_TRUE(waitUntil([&] { return path->count() == 200; }));
+    EXPECT_TRUE(path->inOrder());
+    barrier.letGo();
+}
+
+TEST_F(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
+    const auto flooded = std::make_shared<Path>(), other = std::make_shared<Path>();
+    const auto first = begin(flooded);
+    const auto manager_of_first = admit();
+    const auto second = begin(other);
+    const auto manager_of_second = admit();
+    ASSERT_TRUE(waitUntil([&] { return flooded->open && other->open; }));
+    std::atomic<bool> enough{false};
+    std::thread floods([&] {
+        std::string burst;
+        for (int i = 0; i < 500; ++i) burst += message(1);
+        while (!enough)
+            if (::send(manager_of_first.get(), burst.data(), burst.size(), MSG_NOSIGNAL) <= 0) return;
+    });
+    for (std::int64_t i = 1; i <= 20; ++i) {
+        say(manager_of_second, message(i));
+        EXPECT_TRUE(waitUntil([&] { return other->count() == static_cast<std::size_t>(i); }));
+    }
+    enough = true;
+    floods.join();
+}
+
+TEST_F(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path, 50ms);
+    const auto silent = accept();
+    ASSERT_TRUE(waitUntil([&] { return path->over.load(); }));
+    EXPECT_EQ(path->reason, "no answer in time");
+
+    const auto later = std::make_shared<Path>();
+    const auto half = begin(later, 50ms);
+    const auto manager = accept();
+    say(manager, ManagerOpening(Id128::random(random)).greeting());
+    ASSERT_TRUE(waitUntil([&] { return later->over.load(); }));
+    EXPECT_EQ(later->reason, "no answer in time");
+}
+
+TEST_F(FramedLaneTest, WhateverElseAnswersEndsIt) {
+    const std::string ice("IceP\1\0\1\0\3\0\16\0\0\0", 14);  // what Ice says first
+    for (const auto& answer : {ice, std::string(4, '\0'), std::string("HTTP/1.1 400 Bad Request\r\n\r\n"),
+                               direct::lane::frameOf(Kind::Kept, "x")}) {
+        const auto path = std::make_shared<Path>();
+        const auto lane = begin(path);
+        const auto manager = accept();
+        say(manager, answer);
+        ASSERT_TRUE(waitUntil([&] { return path->over.load(); }));
+        EXPECT_FALSE(path->open);
+        const std::lock_guard lock(path->mutex);
+        EXPECT_NE(path->reason.find("no Entity Manager of this edition"), std::string::npos) << path->reason;
+    }
+}
+
+TEST_F(FramedLaneTest, ImproperFramesAfterTheOpeningEndIt) {
+    const std::string too_long("\x7f\0\0\0\5", 5);
+    for (const auto& wrong : {direct::lane::frameOf(Kind::Nonce, std::string(20, 'n')),
+                              direct::lane::frameOf(Kind::Kept, "cut"), too_long}) {
+        const auto path = std::make_shared<Path>();
+        const auto lane = begin(path);
+        const auto manager = admit();
+        ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+        say(manager, message(1) + wrong);
+        ASSERT_TRUE(waitUntil([&] { return path->over.load(); }));
+        EXPECT_EQ(path->count(), 1U);
+        const std::lock_guard lock(path->mutex);
+        EXPECT_NE(path->reason.find("broke the protocol"), std::string::npos) << path->reason;
+    }
+}
+
+TEST_F(FramedLaneTest, WhatDoesNotFitLeavesWhenTheOtherSideReads) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    const auto content = std::make_shared<const std::string>(1'000'000, 'x');
+    std::int64_t sent = 0;
+    for (; sent < 8; ++sent) {  // as much as may wait, if the sockets take nothing
+        Header head;
+        head.sequence = sent + 1;
+        lane->send(Keeping::Kept, head, content);
+    }
+    EXPECT_FALSE(path->over);
+    axon::FrameReader reader(direct::lane::kMessageFrameMax);
+    for (std::int64_t i = 1; i <= sent && !path->over; ++i)
+        ASSERT_EQ(direct::lane::messageIn(hear(manager, reader)).value().sequence, i);
+}
+
+TEST_F(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    lane->end("enough");
+    lane->end("once more");
+    EXPECT_TRUE(path->over);
+    EXPECT_EQ(path->reason, "enough");
+    axon::FrameReader reader;
+    EXPECT_TRUE(hear(manager, reader).empty()) << "the other side sees it";
+    lane->send(Keeping::Kept, {}, std::make_shared<const std::string>("late"));
+    readers->end();
+    const auto late = std::make_shared<Path>();
+    const auto none = begin(late);
+    EXPECT_TRUE(late->over) << "there are no readers any more";
+}
+
+}  // namespace
+}  // namespace axon::client

@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/direct/lane_readers.hpp"
+
+#include <pthread.h>
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <system_error>
+#include <utility>
+#include <vector>
+
+namespace axon::client {
+namespace {
+
+constexpr std::uint32_t kWatched = EPOLLIN | EPOLLOUT | EPOLLRDHUP | EPOLLET;
+constexpr std::uint64_t kWake = 0;
+
+bool watch(int set, int operation, int descriptor, std::uint32_t events, std::uint64_t number) {
+    epoll_event event{};
+    event.events = events;
+    event.data.u64 = number;
+    return ::epoll_ctl(set, operation, descriptor, &event) == 0;
+}
+
+bool has(TimePoint deadline) {
+    return deadline != TimePoint::max();
+}
+
+}  // namespace
+
+LaneReaders::~LaneReaders() {
+    end();
+}
+
+/// Under mutex_.
+bool LaneReaders::start() {
+    if (epoll_.open()) return true;
+    Descriptor set(::epoll_create1(EPOLL_CLOEXEC)), wake(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+    if (!set.open() || !wake.open() || !watch(set.get(), EPOLL_CTL_ADD, wake.get(), EPOLLIN, kWake))
+        return false;
+    epoll_ = std::move(set);
+    wake_ = std::move(wake);
+    try {
+        for (auto& thread : threads_) thread = std::thread([this] { run(); });
+    } catch (const std::system_error&) {  // one is enough, as long as no callback blocks it
+        if (threads_.front().joinable()) return true;
+        epoll_.reset();
+        return false;
+    }
+    return true;
+}
+
+bool LaneReaders::add(std::uint64_t number, std::shared_ptr<Lane> lane, TimePoint deadline) {
+    const std::lock_guard lock(mutex_);
+    if (over_ || !start()) return false;
+    const int descriptor = lane->descriptor();
+    lanes_.emplace(number, Entry{std::move(lane), deadline});
+    if (!watch(epoll_.get(), EPOLL_CTL_ADD, descriptor, kWatched, number)) {
+        lanes_.erase(number);
+        return false;
+    }
+    if (has(deadline)) {
+        ++deadlines_;
+        wake();
+    }
+    return true;
+}
+
+void LaneReaders::due(std::uint64_t number, TimePoint deadline) {
+    const std::lock_guard lock(mutex_);
+    const auto found = lanes_.find(number);
+    if (found == lanes_.end()) return;
+    if (has(found->second.deadline)) --deadlines_;
+    found->second.deadline = deadline;
+    if (!has(deadline)) return;
+    ++deadlines_;
+    wake();
+}
+
+void LaneReaders::again(std::uint64_t number) {
+    const std::lock_guard lock(mutex_);
+    if (const auto found = lanes_.find(number); found != lanes_.end())
+        watch(epoll_.get(), EPOLL_CTL_MOD, found->second.lane->descriptor(), kWatched, number);
+}
+
+void LaneReaders::remove(std::uint64_t number) {
+    std::shared_ptr<Lane> last;  // perhaps; let go of without the lock
+    const std::lock_guard lock(mutex_);
+    const auto found = lanes_.find(number);
+    if (found == lanes_.end()) return;
+    if (has(found->second.deadline)) --deadlines_;
+    ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, found->second.lane->descriptor(), nullptr);
+    last = std::move(found->second.lane);
+    lanes_.erase(found);
+}
+
+void LaneReaders::end() {
+    std::map<std::uint64_t, Entry> left;
+    std::array<std::thread, 2> threads;
+    {
+        const std::lock_guard lock(mutex_);
+        over_ = true;
+        left = std::exchange(lanes_, {});
+        threads = std::exchange(threads_, {});
+        if (wake_.open()) wake();
+    }
+    for (auto& thread : threads)
+        if (thread.joinable()) thread.join();
+}
+
+void LaneReaders::wake() {
+    ::eventfd_write(wake_.get(), 1);
+}
+
+std::shared_ptr<LaneReaders::Lane> LaneReaders::laneOf(std::uint64_t number) const {
+    const std::lock_guard lock(mutex_);
+    const auto found = lanes_.find(number);
+    return found == lanes_.end() ? nullptr : found->second.lane;
+}
+
+/// For epoll_wait: until the next deadline.
+int LaneReaders::timeout() {
+    if (deadlines_ == 0) return -1;
+    auto next = TimePoint::max();
+    {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [number, entry] : lanes_) next = std::min(next, entry.deadline);
+    }
+    if (!has(next)) return -1;
+    const auto time = std::max(clock_.realTimeUntil(next), Duration{});
+    return static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(time).count()) + 1;
+}
+
+void LaneReaders::tellOverdue() {
+    if (deadlines_ == 0) return;
+    std::vector<std::shared_ptr<Lane>> overdue;
+    {
+        const std::lock_guard lock(mutex_);
+        const auto now = clock_.now();
+        for (auto& [number, entry] : lanes_) {
+            if (now < entry.deadline) continue;
+            entry.deadline = TimePoint::max();
+            --deadlines_;
+            overdue.push_back(entry.lane);
+        }
+    }
+    for (const auto& lane : overdue) lane->overdue();
+}
+
+void LaneReaders::run() {
+    ::pthread_setname_np(::pthread_self(), "axon-direct");
+    while (!over_) {
+        // One at a time: what else is ready is the other thread's while this one is inside a callback.
+        epoll_event event{};
+        const int count = ::epoll_wait(epoll_.get(), &event, 1, timeout());
+        if (over_) return;
+        if (count > 0 && event.data.u64 == kWake) {
+            eventfd_t ignored = 0;
+            ::eventfd_read(wake_.get(), &ignored);
+        } else if (count > 0) {
+            if (const auto lane = laneOf(event.data.u64))
+                lane->ready({(event.events & (EPOLLIN | EPOLLRDHUP | EPOLLHUP | EPOLLERR)) != 0,
+                             (event.events & EPOLLOUT) != 0,
+                             (event.events & (EPOLLRDHUP | EPOLLHUP | EPOLLERR)) != 0});
+        } else if (count < 0 && errno != EINTR) {
+            return;  // the set is no set: a bug, which is not to be repeated for ever
+        }
+        tellOverdue();
+    }
+}
+
+}  // namespace axon::client

@@ -1,0 +1,316 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The port of data lanes on a strand, beside strangers and holders that the test plays over loopback.
+#include "entity_manager/links/direct/data_door.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <asio/post.hpp>
+#include <asio/strand.hpp>
+#include <asio/thread_pool.hpp>
+#include <atomic>
+#include <future>
+#include <mutex>
+#include <vector>
+
+#include "support/lane_stranger.hpp"
+#include "support/loopback.hpp"
+
+namespace axon::entity_manager {
+namespace {
+
+using namespace std::chrono_literals;
+using direct::Keeping;
+using test::LaneStranger;
+using test::waitUntil;
+
+const std::string kKey = "0123456789abcdef";
+
+/// Stands still until it is moved, and lets nobody who waits for it sleep for long.
+class Moved final : public Clock {
+  public:
+    TimePoint now() const override { return TimePoint{1000s} + Duration{by_.load()}; }
+    Duration realTimeUntil(TimePoint deadline) const override {
+        return std::min<Duration>(deadline - now(), 1ms);
+    }
+    void advance(Duration by) { by_ += by.count(); }
+
+  private:
+    std::atomic<Duration::rep> by_{0};
+};
+
+/// Admits whoever has the key; takes messages while there is room.
+struct Events final : DirectEvents {
+    void directOpening(DirectOpening opening) override {
+        const std::lock_guard lock(mutex);
+        ++openings;
+        if (!direct::proves(opening.proof, opening.claim, direct::Prover::Client, kKey))
+            return opening.refuse({RefusalCode::PermissionDenied, "no", {}});
+        if (!answers) {
+            pending = std::move(opening);
+            return;
+        }
+        admit(opening);
+    }
+    void admit(DirectOpening& opening) {
+        lane =
+            opening.admit({"holder", "ann@lab", Role::Operator}, std::make_shared<DirectSigns>(TimePoint{}),
+                          direct::proofOf(opening.claim, direct::Prover::EntityManager, kKey));
+    }
+    bool directMsg(const Id128&, Keeping keeping, Header& head, std::string& bytes) override {
+        const std::lock_guard lock(mutex);
+        if (came.size() >= room) return false;
+        EXPECT_EQ(head.sender.id, "holder");
+        EXPECT_EQ(head.entity, "the entity");
+        came.push_back(head.sequence);
+        data += keeping == Keeping::Droppable ? 1 : 0;
+        if (came.size() % 3 == 0) {  // who holds a message back takes it
+            const auto taken = std::move(head);
+            const auto taken_bytes = std::move(bytes);
+        }
+        return true;
+    }
+    void directTurnEnded() override { ++turns; }
+    void directStop(Header, StopCause) override {}
+    void directReset(Header) override {}
+    void directClear(Header) override {}
+    void directPace() override {}
+    void directClosed(const Id128&, const std::string& why) override {
+        const std::lock_guard lock(mutex);
+        closed.push_back(why);
+    }
+    std::size_t count() {
+        const std::lock_guard lock(mutex);
+        return came.size();
+    }
+    std::size_t ends() {
+        const std::lock_guard lock(mutex);
+        return closed.size();
+    }
+
+    std::mutex mutex;
+    std::vector<std::int64_t> came;
+    std::vector<std::string> closed;
+    std::size_t room = 1'000'000;
+    int openings = 0, data = 0;
+    bool answers = true;
+    DirectOpening pending;
+    std::shared_ptr<DirectLane> lane;
+    std::atomic<int> turns{0};
+};
+
+class DataDoorTest : public ::testing::Test {
+  protected:
+    ~DataDoorTest() override {
+        onStrand([&] { door.shut(); });
+        executor.join();
+    }
+    template <class Use>
+    void onStrand(Use use) {
+        std::promise<void> done;
+        asio::post(strand, [&] {
+            use();
+            done.set_value();
+        });
+        done.get_future().wait();
+    }
+    std::unique_ptr<LaneStranger> knock() {
+        auto stranger = std::make_unique<LaneStranger>(endpoint);
+        stranger->claim = {Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
+        return stranger;
+    }
+    std::unique_ptr<LaneStranger> holder() {
+        auto its = knock();
+        its->awaitNonce();
+        EXPECT_EQ(its->open(kKey), RefusalCode::Ok);
+        return its;
+    }
+    static void send(LaneStranger& from, std::int64_t sequence, Keeping keeping = Keeping::Kept,
+                     const std::string& content = "content") {
+        Header head;
+        head.sequence = sequence;
+        head.msg_type = kMsgText;
+        from.send(keeping, head, content);
+    }
+    bool inOrder() {
+        const std::lock_guard lock(events->mutex);
+        for (std::size_t i = 0; i < events->came.size(); ++i)
+            if (events->came[i] != static_cast<std::int64_t>(i) + 1) return false;
+        return true;
+    }
+
+    SeededRandom random{1};
+    Moved clock;
+    asio::thread_pool executor{1};
+    asio::strand<asio::any_io_executor> strand{executor.get_executor()};
+    std::shared_ptr<Events> events = std::make_shared<Events>();
+    DataDoor door{strand, "127.0.0.1", 0, "the entity", clock, events};
+    const std::string endpoint = "127.0.0.1:" + std::to_string(door.port());
+};
+
+TEST_F(DataDoorTest, MessagesOfAHolderComeInOrderAndThoseToItGoOut) {
+    const auto its = holder();
+    EXPECT_TRUE(direct::proves(its->proof, its->claim, direct::Prover::EntityManager, kKey));
+    for (std::int64_t i = 1; i <= 1000; ++i)
+        send(*its, i, i % 10 == 0 ? Keeping::Droppable : Keeping::Kept,
+             std::string(static_cast<std::size_t>(i * i % 5000), 'x'));
+    ASSERT_TRUE(waitUntil([&] { return events->count() == 1000; }));
+    EXPECT_TRUE(inOrder());
+    EXPECT_EQ(events->data, 100);
+    EXPECT_GT(events->turns, 0);
+    onStrand([&] {
+        Header head;
+        head.sequence = 9;
+        events->lane->send(Keeping::Kept, head, std::make_shared<const std::string>("to the client"));
+    });
+    const auto frame = its->awaitFrame().value();
+    EXPECT_EQ(direct::lane::messageIn(frame).value().content, "to the client");
+}
+
+TEST_F(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
+    events->room = 100;
+    const auto its = holder();
+    for (std::int64_t i = 1; i <= 500; ++i) send(*its, i);
+    ASSERT_TRUE(waitUntil([&] { return events->count() == 100; }));
+    onStrand([] {});
+    EXPECT_EQ(events->count(), 100U);
+    for (std::size_t room = 200; room <= 500; room += 100) {
+        onStrand([&] {
+            events->room = room;
+            door.roomAgain();
+        });
+        ASSERT_TRUE(waitUntil([&] { return events->count() == room; }));
+    }
+    EXPECT_TRUE(inOrder());
+}
+
+TEST_F(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {
+    events->answers = false;
+    const auto its = knock();
+    its->awaitNonce();
+    const auto proof = direct::proofOf(its->claim, direct::Prover::Client, kKey);
+    its->say(its->claimFrame(proof));
+    for (std::int64_t i = 1; i <= 3; ++i) send(*its, i);
+    ASSERT_TRUE(waitUntil([&] {
+        const std::lock_guard lock(events->mutex);
+        return events->pending.admit != nullptr;
+    }));
+    onStrand([] {});
+    EXPECT_EQ(events->count(), 0U);
+    onStrand([&] { events->admit(events->pending); });
+    EXPECT_EQ(its->awaitAnswer(), RefusalCode::Ok);
+    ASSERT_TRUE(waitUntil([&] { return events->count() == 3; }));
+}
+
+TEST_F(DataDoorTest, WhoHasGoneWhileTheClaimWasJudgedHasNoPath) {
+    events->answers = false;
+    {
+        const auto its = knock();
+        its->awaitNonce();
+        its->say(its->claimFrame(direct::proofOf(its->claim, direct::Prover::Client, kKey)));
+        ASSERT_TRUE(waitUntil([&] {
+            const std::lock_guard lock(events->mutex);
+            return events->pending.admit != nullptr;
+        }));
+    }
+    onStrand([&] { events->admit(events->pending); });
+    ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; })) << "and whoever thinks so is told";
+}
+
+TEST_F(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
+    using direct::lane::frameOf;
+    using direct::lane::Kind;
+    for (const auto& said :
+         {std::string(4, '\0'), std::string("GET / HTTP/1.1\r\n\r\n"),
+          frameOf(Kind::Kept, std::string(40, 'x')), frameOf(Kind::Claim, std::string(75, 'c')),
+          frameOf(Kind::Claim, std::string(300, 'c')), frameOf(Kind::Proof, std::string(32, 'p'))}) {
+        const auto stranger = knock();
+        stranger->awaitNonce();
+        stranger->say(said);
+        EXPECT_NE(stranger->awaitAnswer(), RefusalCode::Ok);
+        EXPECT_TRUE(stranger->awaitClosed());
+    }
+    const auto wrong = knock();
+    wrong->awaitNonce();
+    EXPECT_EQ(wrong->open("another key 16 b"), RefusalCode::PermissionDenied);
+    EXPECT_TRUE(wrong->awaitClosed());
+    EXPECT_EQ(events->ends(), 0U) << "no path has ended";
+}
+
+TEST_F(DataDoorTest, AClaimMayComeByteByByte) {
+    const auto its = knock();
+    its->awaitNonce();
+    for (const char byte : its->claimFrame(direct::proofOf(its->claim, direct::Prover::Client, kKey)))
+        its->say(std::string(1, byte));
+    EXPECT_EQ(its->awaitAnswer(), RefusalCode::Ok);
+}
+
+TEST_F(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
+    const auto its = holder();
+    std::vector<std::unique_ptr<LaneStranger>> silent;
+    for (int i = 0; i < 70; ++i) silent.push_back(knock());
+    const auto began = clock.now();
+    ASSERT_TRUE(waitUntil([&] {
+        clock.advance(10ms);  // or no more of them are taken
+        return silent.front()->isClosed();
+    })) << "the oldest of more than 64";
+    ASSERT_LT(clock.now() - began, 10s);
+    EXPECT_FALSE(silent.back()->isClosed());
+    ASSERT_TRUE(waitUntil([&] {
+        clock.advance(100ms);
+        return silent.back()->isClosed();
+    }));
+    EXPECT_GT(clock.now() - began, 10s);
+    send(*its, 1);
+    EXPECT_TRUE(waitUntil([&] { return events->count() == 1; })) << "who has a path is not meant";
+}
+
+TEST_F(DataDoorTest, ImproperFramesEndThePath) {
+    const std::string too_long("\x7f\0\0\0\5", 5);
+    std::size_t ended = 0;
+    for (const auto& wrong : {direct::lane::frameOf(direct::lane::Kind::Claim, std::string(76, 'c')),
+                              direct::lane::frameOf(direct::lane::Kind::Kept, "cut"), too_long}) {
+        const auto its = holder();
+        its->say(wrong);
+        EXPECT_TRUE(its->awaitClosed());
+        ASSERT_TRUE(waitUntil([&] { return events->ends() == ended + 1; }));
+        ++ended;
+        const std::lock_guard lock(events->mutex);
+        EXPECT_NE(events->closed.back().find("broke the protocol"), std::string::npos);
+    }
+}
+
+TEST_F(DataDoorTest, WhoDoesNotReadIsDisconnectedAndWhoReadsLateGetsEverything) {
+    const auto content = std::make_shared<const std::string>(1'000'000, 'x');
+    const auto flood = [&](int messages) {
+        onStrand([&] {
+            for (std::int64_t i = 1; i <= messages; ++i) {
+                Header head;
+                head.sequence = i;
+                events->lane->send(Keeping::Kept, head, content);
+            }
+        });
+    };
+    const auto late = holder();
+    flood(8);
+    for (std::int64_t i = 1; i <= 8; ++i)
+        ASSERT_EQ(direct::lane::messageIn(late->awaitFrame().value()).value().sequence, i);
+    const auto never = holder();
+    flood(60);
+    ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; }));
+    const std::lock_guard lock(events->mutex);
+    EXPECT_EQ(events->closed.back(), "it does not read its messages");
+}
+
+TEST_F(DataDoorTest, AfterItIsShutNobodyIsThere) {
+    const auto its = holder();
+    const auto stranger = knock();
+    stranger->awaitNonce();
+    onStrand([&] { door.shut(); });
+    EXPECT_TRUE(its->awaitClosed());
+    EXPECT_TRUE(stranger->awaitClosed());
+    EXPECT_EQ(events->ends(), 1U);
+}
+
+}  // namespace
+}  // namespace axon::entity_manager
