@@ -13,8 +13,8 @@ namespace axon::client {
 /// Runs the program's callbacks one at a time, in the order of post(), and has the queue before them.
 ///
 /// A callback runs on the thread that this object owns, or on a thread that brings news and calls runHere():
-/// waking another thread takes longer than most callbacks (ADR 0030). One thread at a time runs callbacks; the
-/// others leave what they post to it.
+/// waking another thread takes longer than most callbacks (ADR 0030). One thread at a time runs callbacks;
+/// the others leave what they post to it.
 ///
 /// Bounds: beyond kBound callbacks, the oldest one that may be left out (a sample, raw data, a change of an
 /// entity, progress of a task) is dropped and counted. Callbacks that must not be left out may be kMost, more

@@ -494,9 +494,9 @@ std::optional<std::string> Communicator::linkedWith() const {
 }
 
 void Communicator::linkWith(Handshakes::Pair pair) {
-    watched_ = std::make_shared<Link>(std::move(pair.signal), std::move(pair.signal_reader),
-                                      std::move(pair.data), std::move(pair.data_reader), pair.manager,
-                                      data_wake_);
+    watched_ =
+        std::make_shared<Link>(std::move(pair.signal), std::move(pair.signal_reader), std::move(pair.data),
+                               std::move(pair.data_reader), pair.manager, data_wake_);
     manager_.setTimeouts(pair.watchdog_busy, pair.watchdog_idle, now());
     manager_.setBusy(false, now());
     manager_.suspendGaps();  // until the first beat

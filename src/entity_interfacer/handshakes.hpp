@@ -14,8 +14,8 @@
 
 #include "common/clock.hpp"
 #include "common/descriptor.hpp"
-#include "common/refusal.hpp"
 #include "common/frame.hpp"
+#include "common/refusal.hpp"
 #include "host/port_range.hpp"
 
 namespace axon::proto {

@@ -23,11 +23,12 @@ namespace axon {
 /// The threads that run the handlers of tasks, one for each, from the start of a task until its thread has
 /// been joined; and the ids of the last tasks, none of which starts twice.
 ///
-/// Threads: wasStarted(), start(), find() and reap() belong to the data thread, or to who ends it; the others may be called from
-/// any thread. The mutex is held while the list is changed or read and while a thread is created, never while
-/// a handler runs or a thread is joined. A stop reaches the tasks by the StopLevel: the stop thread takes the
-/// mutex only where onStop itself gives feedback. Failure: what cannot start is refused; its id may
-/// come again, unless only its thread could not be made. Bounded: kMax tasks, kRecentMax ids; the oldest id is forgotten.
+/// Threads: wasStarted(), start(), find() and reap() belong to the data thread, or to who ends it; the others
+/// may be called from any thread. The mutex is held while the list is changed or read and while a thread is
+/// created, never while a handler runs or a thread is joined. A stop reaches the tasks by the StopLevel: the
+/// stop thread takes the mutex only where onStop itself gives feedback. Failure: what cannot start is
+/// refused; its id may come again, unless only its thread could not be made. Bounded: kMax tasks, kRecentMax
+/// ids; the oldest id is forgotten.
 ///
 /// `Running` is Task::Running; a test has its own, with `id`, `id_bytes` and `service`.
 template <class Running>

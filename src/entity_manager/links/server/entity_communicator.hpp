@@ -58,9 +58,9 @@ class ServerEvents {
 /// Failure: either connection lost = serverDown with the reason, both are closed and tried again. Each lane
 /// has an Outbox: of a server that does not read, 4 MiB of data wait and then the oldest is dropped, and when
 /// more than 16 MiB of control messages wait the server counts as lost. With more than 16,384
-/// unsent signals it counts as lost too. Through a Glacier2 router both lanes are sessions of the same server;
-/// at most 256 KiB are unanswered there at a time, the rest waits here, and a server that has died is noticed
-/// by a sign of life that is not answered.
+/// unsent signals it counts as lost too. Through a Glacier2 router both lanes are sessions of the same
+/// server; at most 256 KiB are unanswered there at a time, the rest waits here, and a server that has died is
+/// noticed by a sign of life that is not answered.
 class EntityCommunicator final : public RelayedWay {
   public:
     EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
