@@ -7,66 +7,9 @@
 #include "common/liveness.hpp"
 #include "common/queue_share.hpp"
 #include "common/snapshot.hpp"
-#include "entity_server/sessions/holder_log.hpp"
 #include "entity_server/sessions/registration_check.hpp"
-#include "entity_server/sessions/send_limits.hpp"
 
 namespace axon::entity_server {
-
-class EntityServerCore::Session {
-  public:
-    Session(std::uint64_t its_number, std::string its_token, std::shared_ptr<EntityOutbox> its_data,
-            std::uint32_t messages_per_second)
-        : number(its_number),
-          token(std::move(its_token)),
-          data(std::move(its_data)),
-          limits(messages_per_second) {}
-
-    // Constant after construction.
-    const std::uint64_t number;
-    const std::string token;
-    const std::shared_ptr<EntityOutbox> data;
-
-    // Written once, before `registered` is; read by others only after it.
-    std::shared_ptr<EntityOutbox> signal;
-    std::string entity;
-    std::shared_ptr<Drills::Subject> drill;
-    std::atomic<bool> registered{false};
-
-    Snapshot<std::string> name;    // of its newest registration
-    Snapshot<std::string> holder;  // by its newest status
-
-    SendLimits limits;
-    Liveness liveness;  // hears without a lock; judged under the core's mutex, once registered
-
-    // Guarded by the core's mutex.
-    RecordRef record;
-    TimePoint next_heartbeat;
-    std::uint64_t revision = 0;  // of its entry in the due queue; older entries are void
-    std::int64_t heartbeats = 0;
-    TimePoint warn_again;
-    HolderLog holder_log;
-    bool gone = false;
-
-    EntityOutbox& outbox(Lane lane) const { return lane == Lane::Signal ? *signal : *data; }
-    Duration period() const {
-        const auto& registration = record->registration;
-        return std::chrono::milliseconds{liveness.busy() ? registration.heartbeat_busy_ms
-                                                         : registration.heartbeat_idle_ms};
-    }
-    /// The last time not after `latest` at which heartbeats of this period are sent: 16 in each period, the
-    /// same for all sessions with that period, so that the timer wakes for many at once.
-    TimePoint beatBy(TimePoint latest) const {
-        return latest - latest.time_since_epoch() % (period() / kBeatsApart);
-    }
-    static constexpr int kBeatsApart = 16;
-    /// Within a period from now, each session in its turn of the sixteen, so that many that joined, or began
-    /// to move, together are not served all at once for ever.
-    TimePoint beatInTurn(TimePoint now) const {
-        return beatBy(now + period() * static_cast<int>(number % kBeatsApart + 1) / kBeatsApart);
-    }
-};
-
 namespace {
 
 Refusal refuse(RefusalCode code, std::string message) {
@@ -233,9 +176,9 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
             registered_.emplace(session->entity, session);
             drills_.join(session->drill);
             table_.put(session->entity, session);
-            session->next_heartbeat = session->beatInTurn(now);
+            session->restartHeartbeats(now);
         }
-        schedule(session, std::min(session->next_heartbeat, now + session->period()));
+        due_.schedule(session, std::min(session->nextHeartbeat(), now + session->period()));
         publisher_.set(session->record);  // last: from now on others may be told that it is here
     }
     wake_();
@@ -278,10 +221,10 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         session->record = std::move(record);
         publisher_.set(session->record);
         // The EM's own watchdog is short from now on.
-        if (became_busy) heartbeat = ++session->heartbeats;
+        if (became_busy) heartbeat = session->extraHeartbeat();
         if (became_busy || became_idle) {
-            session->next_heartbeat = session->beatInTurn(now);
-            schedule(session, session->next_heartbeat);
+            session->restartHeartbeats(now);
+            due_.schedule(session, session->nextHeartbeat());
         }
     }
     if (became_busy) {
@@ -543,10 +486,6 @@ void EntityServerCore::clearSignal(const Header& head) {
     toEntities(head, [&](EntityOutbox& entity) { return entity.clearSignal(head); });
 }
 
-void EntityServerCore::schedule(const SessionRef& session, TimePoint at) {
-    due_.push({at, ++session->revision, session});
-}
-
 TimePoint EntityServerCore::onTimer() {
     std::vector<std::pair<SessionRef, std::int64_t>> heartbeats;
     std::vector<std::pair<SessionRef, Duration>> silent;
@@ -555,32 +494,19 @@ TimePoint EntityServerCore::onTimer() {
     {
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
-        while (!due_.empty() && due_.top().at <= now) {
-            const auto due = due_.top();
-            due_.pop();
-            const auto session = due.session.lock();
-            if (!session || session->gone || session->revision != due.revision) continue;
+        while (const auto session = due_.take(now)) {
             if (session->liveness.expired(now)) {
                 silent.emplace_back(session, session->liveness.timeout());
                 continue;
             }
-            if (now >= session->warn_again) {
-                if (const auto gap = session->liveness.longest(now); gap.part() >= Liveness::kWarnFrom) {
-                    session->warn_again = now + Liveness::kWarnAgain;
-                    warnings.push_back(*session->name.load() + " is late: " + describe(gap));
-                }
-            }
-            if (session->next_heartbeat <= now) {
-                heartbeats.emplace_back(session, ++session->heartbeats);
-                // From when it was due, so that late ones keep apart. Catching up after a pause would only
-                // send a burst.
-                const auto beat = session->beatBy(session->next_heartbeat + session->period());
-                session->next_heartbeat = beat > now ? beat : session->beatInTurn(now);
-            }
-            schedule(session, std::min(std::max(session->next_heartbeat, now + std::chrono::milliseconds{1}),
-                                       session->liveness.deadline()));
+            if (const auto gap = session->warning(now))
+                warnings.push_back(*session->name.load() + " is late: " + describe(*gap));
+            if (const auto number = session->dueHeartbeat(now)) heartbeats.emplace_back(session, *number);
+            due_.schedule(session,
+                          std::min(std::max(session->nextHeartbeat(), now + std::chrono::milliseconds{1}),
+                                   session->liveness.deadline()));
         }
-        next = due_.empty() ? now + std::chrono::seconds{1} : due_.top().at;
+        next = due_.next().value_or(now + std::chrono::seconds{1});
     }
     if (publisher_.endPauses()) pending_();
     next = std::min(next, publisher_.nextPause());

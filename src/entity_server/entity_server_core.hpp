@@ -4,7 +4,6 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <queue>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -22,6 +21,8 @@
 #include "entity_server/publishing/publisher.hpp"
 #include "entity_server/routing/entities_elsewhere.hpp"
 #include "entity_server/routing/undelivered.hpp"
+#include "entity_server/sessions/due_sessions.hpp"
+#include "entity_server/sessions/session.hpp"
 
 namespace axon::entity_server {
 
@@ -73,8 +74,7 @@ struct EntityServerCoreSettings {
 /// sent back; nothing throws.
 class EntityServerCore {
   public:
-    class Session;
-    using SessionRef = std::shared_ptr<Session>;
+    using SessionRef = entity_server::SessionRef;
     using Note = std::function<void(const std::string& line)>;
 
     /// `note` gets a line for people; `wake` is called when onTimer() is due earlier than it said, `pending`
@@ -141,17 +141,9 @@ class EntityServerCore {
     std::vector<std::string> margins() const;
 
   private:
-    struct Due {
-        TimePoint at;
-        std::uint64_t revision;
-        std::weak_ptr<Session> session;
-        bool operator<(const Due& other) const { return at > other.at; }  // earliest on top
-    };
-
     template <class Send>
     void toEntities(const Header& head, Send&& send);
     bool flooded(const SessionRef& session);
-    void schedule(const SessionRef& session, TimePoint at);
     TimePoint onDrillTimer();
     bool alone() const { return settings_.name.empty(); }
     void announce(Lane lane);
@@ -183,7 +175,7 @@ class EntityServerCore {
     std::uint64_t sessions_opened_ = 0;
     std::unordered_map<std::string, std::weak_ptr<Session>> tokens_;
     std::unordered_map<std::string, SessionRef> registered_;
-    std::priority_queue<Due> due_;
+    DueSessions due_;
 };
 
 }  // namespace axon::entity_server

@@ -323,15 +323,13 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
     Holdings::Held held;
     {
         const std::lock_guard lock(mutex_);
-        if (client->gone) return;
-        client->gone = true;
-        clients_.remove(client);
+        if (!clients_.remove(client)) return;
         held = holdings_.of(client->me.id);
         gone_.remember(client->me, ending);
     }
     settlement_.settle(client->me, ending, held);
     // Whom else it asked: it waits for none of them any more, and watches nothing.
-    for (const auto& [entity, check_out] : client->takeAsked())
+    for (const auto& [entity, check_out] : client->entities.take())
         if (!held.contains(entity)) settlement_.tellGone(client->me, entity, ending);
     client->data->disconnect(ending == Ending::Ended, why);
     if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
@@ -380,7 +378,7 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
 /// Under the mutex: the entity names this holder no longer.
 void FrontEndCore::letGo(const std::string& holder, const std::string& entity) {
     if (holder.empty()) return;
-    if (const auto client = clients_.find(holder)) client->setHolds(entity, false);
+    if (const auto client = clients_.find(holder)) client->entities.setHeld(entity, false);
     holdings_.erase(holder, entity);
     updateHolding(holder);
 }
@@ -457,9 +455,10 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
             if (const auto client = clients_.find(holder)) {
                 // An entity that names a client which never asked for it is told of its end like any other,
                 // but does not decide how often that client must beat.
-                const bool asked = client->hasAsked(entity) || AXON_PLANTED(UnaskedHolderBelieved);
+                const bool asked =
+                    client->entities.askedForCheckOut(entity) || AXON_PLANTED(UnaskedHolderBelieved);
                 if (!asked && before != holder) doubted = client->me.name;
-                client->setHolds(entity, true);
+                client->entities.setHeld(entity, true);
                 if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
             } else if (before != holder && !status.orphaned &&
                        (alone() || originOf(holder).server == settings_.name)) {
@@ -489,7 +488,7 @@ void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view mes
     clients_.to(lane, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {
         // An entity that a client has asked has its whole queue of the data lane: what that one sends it must
         // read. On the signal lane nobody waits for the lock of that.
-        const bool whole = lane == Lane::Data && client.knows(head.entity);
+        const bool whole = lane == Lane::Data && client.entities.asked(head.entity);
         if (outbox.newEntityMsg(lane, head, message, whole ? QueueShare::Whole : QueueShare::OfSender))
             return;
         log_.slowClient(client.me, head.entity);

@@ -22,9 +22,9 @@ Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const 
                       head.msg_type + (entitiesMaySend(head.msg_type)
                                            ? " is a message between entities; send RUN to the master instead"
                                            : " is for the server itself: use sendRequest"));
-    if (!client.holds(head.entity)) {
+    if (!client.entities.holds(head.entity)) {
         // Who has asked for it may have the grant before this server has the status that tells of it.
-        if (bytes > kStrangersBytes && !client.hasAsked(head.entity))
+        if (bytes > kStrangersBytes && !client.entities.askedForCheckOut(head.entity))
             return refuse(RefusalCode::TooLarge,
                           "a message of more than " + std::to_string(kStrangersBytes / 1024) +
                               " KiB is accepted only from the holder of the entity; fix: check it out first");
@@ -37,8 +37,8 @@ Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const 
     const bool check_out = head.msg_type == kMsgCheckOut;
     if (!check_out && head.msg_type != kMsgWatch) return false;
     const bool for_itself = check_out && client.me.role != Role::Observer;
-    const bool first = for_itself && !client.hasAsked(head.entity);
-    if (!client.asks(head.entity, for_itself, entities.has(head.entity, Lane::Data)))
+    const bool first = for_itself && !client.entities.askedForCheckOut(head.entity);
+    if (!client.entities.ask(head.entity, for_itself, entities.has(head.entity, Lane::Data)))
         return refuse(RefusalCode::NotConnected, "its session has ended");
     return first;
 }

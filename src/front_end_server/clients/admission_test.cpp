@@ -41,7 +41,7 @@ TEST_F(AdmissionTest, OnlyTheHolderSendsMuch) {
     EXPECT_EQ(may(*ann, kMsgResource, kChunk + 1).refusal().code, RefusalCode::TooLarge);
     for (int i = 0; i < 8; ++i) EXPECT_TRUE(may(*ann, kMsgResource, kChunk).ok());
     EXPECT_EQ(may(*ann, kMsgResource, 1).refusal().code, RefusalCode::Overloaded);
-    ann->setHolds("a", true);
+    ann->entities.setHeld("a", true);
     EXPECT_TRUE(may(*ann, kMsgResource, 10 * kChunk).ok());
     EXPECT_EQ(may(*ann, kMsgResource, 1, "b").refusal().code, RefusalCode::Overloaded) << "of another one";
     clock.advance(1s);
@@ -63,14 +63,14 @@ TEST_F(AdmissionTest, TheFirstCheckOutOfAnEntityIsTheFirstAndNoObserversIsOne) {
     EXPECT_TRUE(may(*ann, kMsgCheckOut, 1, "b").value());
     const auto guest = client(Role::Observer);
     EXPECT_FALSE(may(*guest, kMsgCheckOut).value());
-    EXPECT_TRUE(guest->knows("a")) << "it is told of the guest's end, too";
+    EXPECT_TRUE(guest->entities.asked("a")) << "it is told of the guest's end, too";
 }
 
 TEST_F(AdmissionTest, OneThatHasLeftAsksNobody) {
     const auto ann = client();
-    ann->takeAsked();
+    ann->entities.take();
     EXPECT_EQ(may(*ann, kMsgCheckOut).refusal().code, RefusalCode::NotConnected);
-    EXPECT_FALSE(ann->knows("a"));
+    EXPECT_FALSE(ann->entities.asked("a"));
 }
 
 }  // namespace

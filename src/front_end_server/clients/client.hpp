@@ -3,10 +3,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
-#include <unordered_map>
-#include <unordered_set>
 #include <utility>
 
 #include "common/clock.hpp"
@@ -14,6 +11,7 @@
 #include "common/rate_limit.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
+#include "front_end_server/clients/its_entities.hpp"
 #include "front_end_server/ports/core_settings.hpp"
 #include "front_end_server/ports/ports.hpp"
 
@@ -23,8 +21,6 @@ namespace axon::front_end_server {
 // is: in one message, more than a chunk of an upload; in a second, less than a slow link to a robot carries.
 inline constexpr std::size_t kStrangersBytes = 128 * 1024U;
 inline constexpr std::uint32_t kStrangersBytesPerSecond = 1024 * 1024U;
-inline constexpr std::size_t kUnknownAsked =
-    256;  // entities that a client may ask before the server knows them
 inline constexpr std::uint32_t kListsPerSecond = 4;  // of all entities, for one client
 
 /// What the server knows of one client: the ways to it, how fast it sends, when it was heard last, and which
@@ -53,55 +49,13 @@ class Client {
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
     Liveness liveness;                               // hears without a lock; changed under the core's mutex
     std::atomic<std::size_t> told{0};                // entities, when it joined
-    mutable std::mutex asked_mutex;  // after the core's; of who goes on, for a word of a few bytes
-    std::unordered_map<std::string, bool>
-        asked;                             // guarded by it: which know of it; whether it wanted a check-out
-    bool asked_taken = false;              // guarded by it
-    std::unordered_set<std::string> held;  // guarded by it; as holdings_ of the core has it
+    ItsEntities entities;
 
     // Guarded by the core's mutex.
     TimePoint next_heartbeat;
     std::int64_t heartbeats = 0;
     TimePoint warn_again;
-    bool gone = false;
 
-    /// Not any more once it has left. One that is not known here may be joining; of names that nobody has,
-    /// the first few.
-    bool asks(const std::string& entity, bool check_out, bool known) {
-        const std::lock_guard lock(asked_mutex);
-        if (asked_taken) return false;
-        if (!known && asked.size() >= kUnknownAsked && !asked.contains(entity)) return true;
-        auto& before = asked[entity];
-        before = before || check_out;
-        return true;
-    }
-    bool holds(const std::string& entity) const {
-        const std::lock_guard lock(asked_mutex);
-        return held.contains(entity);
-    }
-    void setHolds(const std::string& entity, bool holds) {
-        const std::lock_guard lock(asked_mutex);
-        if (holds) {
-            held.insert(entity);
-        } else {
-            held.erase(entity);
-        }
-    }
-    /// For a check-out or a watch.
-    bool knows(const std::string& entity) const {
-        const std::lock_guard lock(asked_mutex);
-        return asked.contains(entity);
-    }
-    bool hasAsked(const std::string& entity) const {
-        const std::lock_guard lock(asked_mutex);
-        const auto found = asked.find(entity);
-        return found != asked.end() && found->second;
-    }
-    std::unordered_map<std::string, bool> takeAsked() {
-        const std::lock_guard lock(asked_mutex);
-        asked_taken = true;
-        return std::exchange(asked, {});
-    }
     /// The signal lane, or the only one there is.
     std::shared_ptr<ClientOutbox> signalOutbox() const {
         const auto own = *signal.load();

@@ -6,8 +6,8 @@
 
 #include "common/clock.hpp"
 #include "common/routed.hpp"
-#include "front_end_server/clients/gone_clients.hpp"
 #include "front_end_server/clients/holdings.hpp"
+#include "front_end_server/endings/gone_clients.hpp"
 #include "front_end_server/ports/ports.hpp"
 
 namespace axon::front_end_server {

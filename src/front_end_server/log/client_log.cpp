@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "front_end_server/clients/client_log.hpp"
+#include "front_end_server/log/client_log.hpp"
 
 #include <algorithm>
 #include <cstdint>

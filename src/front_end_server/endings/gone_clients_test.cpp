@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "front_end_server/clients/gone_clients.hpp"
+#include "front_end_server/endings/gone_clients.hpp"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "front_end_server/clients/settlement.hpp"
+#include "front_end_server/endings/settlement.hpp"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstddef>
+#include <mutex>
+#include <string>
+#include <unordered_map>
+#include <unordered_set>
+#include <utility>
+
+namespace axon::front_end_server {
+
+/// Which entities know of one client because it asked them, and which it holds.
+///
+/// An entity that was asked for a check-out or a watch remembers the client, and is told when that one is
+/// gone: take() says which these are, once, and nothing is noted afterwards. An entity that the server does
+/// not know may be joining, so it is noted, too; of names that nobody has, the first few. What the client
+/// holds is here as the core's Holdings have it, for messages that do not take the core's mutex.
+///
+/// Threads: any; a mutex of its own, which messages of this client and to it take for a word of a few bytes,
+/// and which may be taken while the core's is held. Bound: the entities there are, and kUnknown. Failure:
+/// none.
+class ItsEntities {
+  public:
+    /// Entity → whether it was asked for a check-out.
+    using Asked = std::unordered_map<std::string, bool>;
+    static constexpr std::size_t kUnknown = 256;
+
+    /// `known`: to the server. False after take().
+    bool ask(const std::string& entity, bool check_out, bool known) {
+        const std::lock_guard lock(mutex_);
+        if (taken_) return false;
+        if (!known && asked_.size() >= kUnknown && !asked_.contains(entity)) return true;
+        auto& before = asked_[entity];
+        before = before || check_out;
+        return true;
+    }
+    /// Whether it was asked, for a check-out or a watch.
+    bool asked(const std::string& entity) const {
+        const std::lock_guard lock(mutex_);
+        return asked_.contains(entity);
+    }
+    bool askedForCheckOut(const std::string& entity) const {
+        const std::lock_guard lock(mutex_);
+        const auto found = asked_.find(entity);
+        return found != asked_.end() && found->second;
+    }
+    Asked take() {
+        const std::lock_guard lock(mutex_);
+        taken_ = true;
+        return std::exchange(asked_, {});
+    }
+    void setHeld(const std::string& entity, bool held) {
+        const std::lock_guard lock(mutex_);
+        if (held) {
+            held_.insert(entity);
+        } else {
+            held_.erase(entity);
+        }
+    }
+    bool holds(const std::string& entity) const {
+        const std::lock_guard lock(mutex_);
+        return held_.contains(entity);
+    }
+
+  private:
+    mutable std::mutex mutex_;
+    // Guarded by mutex_:
+    Asked asked_;
+    bool taken_ = false;
+    std::unordered_set<std::string> held_;
+};
+
+}  // namespace axon::front_end_server

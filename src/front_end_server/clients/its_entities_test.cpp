@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "front_end_server/clients/its_entities.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace axon::front_end_server {
+namespace {
+
+using testing::IsEmpty;
+using testing::Pair;
+using testing::UnorderedElementsAre;
+
+TEST(ItsEntities, OneThatWasAskedForACheckOutStaysSoWhateverItIsAskedForNext) {
+    ItsEntities entities;
+    EXPECT_FALSE(entities.asked("a"));
+    entities.ask("a", false, true);
+    EXPECT_TRUE(entities.asked("a"));
+    EXPECT_FALSE(entities.askedForCheckOut("a"));
+    entities.ask("a", true, true);
+    entities.ask("a", false, true);
+    EXPECT_TRUE(entities.askedForCheckOut("a"));
+}
+
+TEST(ItsEntities, TheyAreToldOnceOfTheClientsEndAndNobodyIsAskedAfterwards) {
+    ItsEntities entities;
+    entities.ask("a", true, true);
+    entities.ask("b", false, true);
+    EXPECT_THAT(entities.take(), UnorderedElementsAre(Pair("a", true), Pair("b", false)));
+    EXPECT_FALSE(entities.ask("c", true, true));
+    EXPECT_THAT(entities.take(), IsEmpty());
+    EXPECT_FALSE(entities.asked("a"));
+}
+
+TEST(ItsEntities, NamesThatNobodyHasFillNothing) {
+    ItsEntities entities;
+    for (std::size_t i = 0; i < 1000; ++i)
+        EXPECT_TRUE(entities.ask("nobody " + std::to_string(i), true, false)) << "the entity refuses it";
+    EXPECT_TRUE(entities.asked("nobody 255"));
+    EXPECT_FALSE(entities.asked("nobody 256"));
+    entities.ask("nobody 0", true, false);
+    EXPECT_TRUE(entities.ask("a", true, true));
+    EXPECT_TRUE(entities.asked("a")) << "one that is there is noted all the same";
+}
+
+TEST(ItsEntities, WhatIsHeldHasNothingToDoWithWhatWasAsked) {
+    ItsEntities entities;
+    entities.setHeld("a", false);
+    EXPECT_FALSE(entities.holds("a"));
+    entities.setHeld("a", true);
+    entities.setHeld("a", true);
+    entities.take();
+    EXPECT_TRUE(entities.holds("a"));
+    EXPECT_FALSE(entities.asked("a"));
+    entities.setHeld("a", false);
+    EXPECT_FALSE(entities.holds("a"));
+}
+
+}  // namespace
+}  // namespace axon::front_end_server
