@@ -19,7 +19,8 @@ int main(int argc, char** argv) {
         "all programs that it needs and ends them. Run nothing else at\nthe same time. Compare only ratios "
         "within one run, never times of two machines. If this is permitted, the threads of Axon's\nsignal "
         "lane and heartbeats have a real-time priority (SCHED_RR) and its memory is locked, as in operation; "
-        "the other systems have neither.\nCtrl-C ends it early; the results so far are printed and written to the "
+        "the other systems have neither.\nCtrl-C ends it early; the results so far are printed and written "
+        "to the "
         "file of --json, marked as partial.\nExit status: 0 done; 1 Axon lost, corrupted or disconnected "
         "something, a process ended, something could not be measured or written,\nor the run was "
         "interrupted; 2 called wrongly.");

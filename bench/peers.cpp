@@ -594,9 +594,10 @@ Experiment declarePeers(CLI::App& app) {
         ->check(CLI::Range(0, 1000).description(""))
         ->type_name("COUNT");
     command
-        ->add_option("--beside", wish->beside,
-                     "Instead of the other systems: Axon through servers that are already running. The two files are "
-                     "the configurations of a client and of an Entity Manager, as axon-cluster writes them")
+        ->add_option(
+            "--beside", wish->beside,
+            "Instead of the other systems: Axon through servers that are already running. The two files are "
+            "the configurations of a client and of an Entity Manager, as axon-cluster writes them")
         ->expected(2)
         ->check(CLI::ExistingFile.description(""))
         ->type_name("FILE FILE");
