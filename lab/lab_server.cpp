@@ -342,11 +342,9 @@ class LabServer::Loop final : Control::Operator {
             const auto bytes = std::span(chunk).first(static_cast<std::size_t>(got));
             const bool noise = garbled(link);
             if (noise) garble(bytes);
-            // At the speed that the line had before the client changed it. A robot answers from within a
-            // step: what broke there is dropped after it, when the client was heard out.
-            const bool broken_before = link.broken;
+            // At the speed that the line had before the client changed it. What breaks here is dropped by
+            // step(), when the client was heard out: its last order may be to stop.
             send(link, link.line.receive(bytes), noise);
-            if (link.broken && !broken_before) drop(link);
         } else if (got == 0 || (errno != EAGAIN && errno != EINTR)) {
             drop(link);
         }

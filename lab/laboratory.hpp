@@ -40,7 +40,7 @@ class Laboratory {
     Duration age() const { return now_ - TimePoint{}; }
 
     std::size_t robots() const { return controllers_.size(); }
-    /// A robot's line. It answers through Send, within the next step().
+    /// A robot's line. It answers through Send, at once or within a later step().
     ClientLine& robot(std::size_t index);
     const ArcosServer& controller(std::size_t robot) const;
     /// With LaserLines only: the line of a robot's laser. An answer to a change of speed still has the old

@@ -25,7 +25,7 @@ class DueSessions {
         }
         return nullptr;
     }
-    /// When to call take() again, or earlier; none where nothing is scheduled.
+    /// Not later than the next time at which take() may return a session; none where nothing is scheduled.
     std::optional<TimePoint> next() const {
         return due_.empty() ? std::nullopt : std::optional(due_.top().at);
     }

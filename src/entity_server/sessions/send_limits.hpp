@@ -14,9 +14,9 @@ namespace axon::entity_server {
 /// What one entity may send: how many messages in a second, and how much of it to other entities and on a
 /// signal lane, which stops share.
 ///
-/// admit() comes first, for every message and status but raw samples; an entity that it turns away is
-/// dropped. What toClient() and toPeer() refuse does not go on, and their entity stays. Threads: any, without
-/// a lock. Failure: none.
+/// admit() comes first, for everything but samples and raw data to clients (sendToClientDataSeq); an entity
+/// that it turns away is dropped. What toClient() and toPeer() refuse does not go on, and their entity stays.
+/// Threads: any, without a lock. Failure: none.
 class SendLimits {
   public:
     explicit SendLimits(std::uint32_t messages_per_second) : messages_(messages_per_second) {}

@@ -50,7 +50,7 @@ class Clients {
     void add(const ClientRef& client);
     /// Whose token it is, which is void from now on; null for one that nobody waits for.
     ClientRef takeToken(const std::string& token);
-    /// False where it is not here any more.
+    /// False where it is no longer here.
     bool remove(const ClientRef& client);
     /// Null where it is not here.
     ClientRef find(const std::string& id) const;

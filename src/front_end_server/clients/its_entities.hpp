@@ -13,12 +13,12 @@ namespace axon::front_end_server {
 ///
 /// An entity that was asked for a check-out or a watch remembers the client, and is told when that one is
 /// gone: take() says which these are, once, and nothing is noted afterwards. An entity that the server does
-/// not know may be joining, so it is noted, too; of names that nobody has, the first few. What the client
+/// not know may be joining, so it is noted, too; at most kUnknown of them. What the client
 /// holds is here as the core's Holdings have it, for messages that do not take the core's mutex.
 ///
 /// Threads: any; a mutex of its own, which messages of this client and to it take for a word of a few bytes,
-/// and which may be taken while the core's is held. Bound: the entities there are, and kUnknown. Failure:
-/// none.
+/// and which may be taken while the core's is held. Bound: the entities that were here while the client was,
+/// and kUnknown. One that has left is kept, since it may come back and remember the client. Failure: none.
 class ItsEntities {
   public:
     /// Entity → whether it was asked for a check-out.
@@ -29,7 +29,12 @@ class ItsEntities {
     bool ask(const std::string& entity, bool check_out, bool known) {
         const std::lock_guard lock(mutex_);
         if (taken_) return false;
-        if (!known && asked_.size() >= kUnknown && !asked_.contains(entity)) return true;
+        if (known) {
+            unknown_.erase(entity);
+        } else if (!asked_.contains(entity)) {
+            if (unknown_.size() >= kUnknown) return true;
+            unknown_.insert(entity);
+        }
         auto& before = asked_[entity];
         before = before || check_out;
         return true;
@@ -47,6 +52,7 @@ class ItsEntities {
     Asked take() {
         const std::lock_guard lock(mutex_);
         taken_ = true;
+        unknown_.clear();
         return std::exchange(asked_, {});
     }
     void setHeld(const std::string& entity, bool held) {
@@ -66,6 +72,7 @@ class ItsEntities {
     mutable std::mutex mutex_;
     // Guarded by mutex_:
     Asked asked_;
+    std::unordered_set<std::string> unknown_;  // of asked_, those that the server did not know
     bool taken_ = false;
     std::unordered_set<std::string> held_;
 };

@@ -43,6 +43,22 @@ TEST(ItsEntities, NamesThatNobodyHasFillNothing) {
     EXPECT_TRUE(entities.asked("a")) << "one that is there is noted all the same";
 }
 
+TEST(ItsEntities, OneThatIsJoiningIsNotedHoweverManyWereAsked) {
+    ItsEntities entities;
+    for (std::size_t i = 0; i < 2 * ItsEntities::kUnknown; ++i)
+        entities.ask("known " + std::to_string(i), true, true);
+    for (std::size_t i = 0; i < ItsEntities::kUnknown; ++i) {
+        const auto name = "joining " + std::to_string(i);
+        EXPECT_TRUE(entities.ask(name, true, false));
+        EXPECT_TRUE(entities.askedForCheckOut(name)) << name;
+    }
+    entities.ask("one more", true, false);
+    EXPECT_FALSE(entities.asked("one more"));
+    entities.ask("joining 0", true, true);  // it has joined
+    entities.ask("one more", true, false);
+    EXPECT_TRUE(entities.asked("one more"));
+}
+
 TEST(ItsEntities, WhatIsHeldHasNothingToDoWithWhatWasAsked) {
     ItsEntities entities;
     entities.setHeld("a", false);
