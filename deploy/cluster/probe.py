@@ -6,7 +6,7 @@ A port that accepts says little (a router accepts while no server is behind it);
 import socket
 import struct
 
-CONTRACT = "2"  # CommUtil.ContractNumber; servers refuse another
+CONTRACT = "3"  # CommUtil.ContractNumber; servers refuse another
 MAGIC = b"IceP"
 HEADER = struct.Struct("<4sBBBBBBi")
 REQUEST, REPLY, VALIDATE = 0, 2, 3
