@@ -437,17 +437,35 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     }
 
     /// An orderly end: the server hears of it, and of all that was sent before, before the connection closes.
-    /// The outbox may be sending that on another thread at this moment, so the last message closes it.
+    /// The outbox may be sending that on another thread at this moment, so the last message closes it. A
+    /// router forgets what it has not passed on when the connection closes, so there its answer does.
     void leave() {
         data_outbox_->sendAll();
-        data_outbox_->send(Traffic::Control, 0,
-                           [say = forward<EntitySessionPrx>(&EntitySessionPrx::leaveAsync),
-                            connection = std::exchange(data_connection_, nullptr)](
+        // The end of either connection is the end of the session.
+        const auto close = [data = std::exchange(data_connection_, nullptr),
+                            signal = std::exchange(signal_connection_, nullptr)] {
+            for (const auto& connection : {data, signal}) connection->close(Ice::ConnectionClose::Gracefully);
+        };
+        const auto leave = [say = forward<EntitySessionPrx>(&EntitySessionPrx::leaveAsync), close](
                                EntitySessionPrx& session, transport::Answered answered,
                                transport::Failed failed, transport::Sent sent) {
-                               say(session, std::move(answered), std::move(failed), std::move(sent));
-                               connection->close(Ice::ConnectionClose::Gracefully);
-                           });
+            if (!answered) {
+                say(session, nullptr, std::move(failed), std::move(sent));
+                return close();
+            }
+            say(
+                session,
+                [answered = std::move(answered), close] {
+                    answered();
+                    close();
+                },
+                [failed = std::move(failed), close](std::exception_ptr error) {
+                    failed(std::move(error));
+                    close();
+                },
+                std::move(sent));
+        };
+        data_outbox_->send(Traffic::Control, 0, leave);
         noteDropped();
         data_outbox_ = nullptr;  // not closed: what waits there goes on
     }
