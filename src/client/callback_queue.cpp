@@ -57,6 +57,11 @@ bool CallbackQueue::isThisThread() const {
     return runner_ == std::this_thread::get_id();
 }
 
+bool CallbackQueue::crowded() const {
+    const std::lock_guard lock(mutex_);
+    return queue_.size() > kRunHere;
+}
+
 std::uint64_t CallbackQueue::leftOut() const {
     const std::lock_guard lock(mutex_);
     return left_out_;

@@ -45,6 +45,8 @@ class CallbackQueue {
     void runHere();
     /// Whether the calling thread is inside a callback.
     bool isThisThread() const;
+    /// More waits than runHere() runs: the own thread is to be woken rather than waited for.
+    bool crowded() const;
     std::uint64_t leftOut() const;
     /// No callback runs after it has returned. Must not be called from a callback.
     void close();

@@ -138,6 +138,15 @@ TEST(CallbacksWhereTheNewsCame, WhatIsTooMuchForTheCallerRunsOnTheOtherThread) {
     EXPECT_NE(called.back(), here);
 }
 
+TEST(CallbacksWhereTheNewsCame, MoreThanTheCallerRunsIsACrowd) {
+    CallbackQueue queue;
+    for (std::size_t i = 0; i < CallbackQueue::kRunHere; ++i) queue.post([] {}, false);
+    EXPECT_FALSE(queue.crowded());
+    queue.post([] {}, false);
+    EXPECT_TRUE(queue.crowded());
+    queue.runHere();
+}
+
 TEST(CallbacksWhereTheNewsCame, ClosingWaitsForTheOneThatRuns) {
     std::promise<void> entered, back;
     std::atomic<bool> ended{false}, called_later{false};

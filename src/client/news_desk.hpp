@@ -83,6 +83,8 @@ class NewsDesk final : public SessionObserver {
     void setOnConnection(std::function<void(bool, const std::string&)> callback);
     /// What was told runs on this thread, if no other one runs callbacks; without any lock.
     void runHere() { callbacks_.runHere(); }
+    /// More waits than runHere() runs.
+    bool crowded() const { return callbacks_.crowded(); }
     bool insideCallback() const { return callbacks_.isThisThread(); }
     /// No callback runs after it has returned. Must not be called from a callback.
     void close() { callbacks_.close(); }

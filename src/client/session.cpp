@@ -95,7 +95,7 @@ Client::Session::Leaving Client::Session::collect(Sends sends) {
     leaving.wake_timer = threads_.timer.turn.mustWakeFor(deadline);
     leaving.wake_heartbeat = threads_.heartbeat.turn.mustWakeFor(core_.nextHeartbeat());
     leaving.messages = messages_.collect(sends == Sends::Here);
-    leaving.told = news_.takeTold() && sends != Sends::Reader;
+    leaving.told = news_.takeTold() && (sends != Sends::Reader || news_.crowded());
     return leaving;
 }
 

@@ -53,7 +53,7 @@ class Client::Session final : public LeaseOffers,
     /// Which thread sends the messages of a use of the core: the calling thread, if it is the user's and does
     /// not send fast, or the sender's thread. The threads of heartbeats, deadlines and signals send no data,
     /// so that a flood on the data lane cannot hold them up. Reader: as Sender; and the callbacks of what the
-    /// program is told run in directRead().
+    /// program is told run in directRead(), unless many wait.
     enum class Sends : std::uint8_t { Here, Sender, Reader };
     /// Runs `use` on the core under its lock; then what it gave to send leaves (depart()).
     template <class Use>

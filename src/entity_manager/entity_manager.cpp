@@ -297,7 +297,7 @@ void EntityManager::directTurnEnded() {
 }
 
 void EntityManager::letDirectGoOn() {
-    if (!direct_waits_ || !inbox_.hasRoom(*direct_waits_)) return;
+    if (stopped_ || !direct_waits_ || !inbox_.hasRoom(*direct_waits_)) return;
     direct_waits_.reset();
     if (doors_) doors_->roomAgain();
 }

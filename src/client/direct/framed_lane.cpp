@@ -63,28 +63,27 @@ void FramedLane::ready(LaneReaders::Ready what) {
     if (what.written && outbox_.waiting() && outbox_.flush() == LaneOutbox::Outcome::Over)
         end("the connection was lost");
     if (!what.read || arrivals_.fetch_add(1) != 0) return;  // who reads now reads that, too
+    // Until the turn is over: what it tells is to be called in laneRead().
+    const auto owner = owner_.lock();
+    if (!owner) return end("it is no longer needed");
     unsigned seen = 1;
-    while (readAll()) {
+    for (int reads = 0; readAll(*owner, reads);) {
         const auto before = arrivals_.fetch_sub(seen);
-        if (before == seen) return tellRead();
+        if (before == seen) return owner->laneRead();
         seen = before - seen;
     }
     arrivals_ = 0;
     readers_->again(number_);
-    tellRead();
+    owner->laneRead();
 }
 
-void FramedLane::tellRead() {
-    if (const auto owner = owner_.lock()) owner->laneRead();
-}
-
-/// False when there may be more, and others are to have a turn.
-bool FramedLane::readAll() {
-    for (int reads = 0; reads < kReadsPerTurn && !over_; ++reads) {
+/// False when there may be more, and others are to have a turn. `reads`: of this turn until now.
+bool FramedLane::readAll(Owner& owner, int& reads) {
+    for (; reads < kReadsPerTurn && !over_; ++reads) {
         const auto came = socket_.read(reader_.room());
         if (came.bytes > 0) {
             reader_.filled(came.bytes);
-            if (!deliver()) return true;
+            if (!deliver(owner)) return true;
         }
         if (came.end == LaneSocket::Read::End::Closed) end("it closed the connection");
         if (came.end == LaneSocket::Read::End::Lost)
@@ -97,17 +96,12 @@ bool FramedLane::readAll() {
 }
 
 /// False when it is over.
-bool FramedLane::deliver() {
-    const auto owner = owner_.lock();
-    if (!owner) {
-        end("it is no longer needed");
-        return false;
-    }
+bool FramedLane::deliver(Owner& owner) {
     while (!over_) {
         const auto frame = reader_.nextView();
         if (!frame) break;
         if (opening_.state() != ClientOpening::State::Open) {
-            if (!onOpening(*frame, *owner)) return false;
+            if (!onOpening(*frame, owner)) return false;
             continue;
         }
         const auto message = direct::lane::messageIn(*frame);
@@ -115,7 +109,7 @@ bool FramedLane::deliver() {
             end("it broke the protocol: a frame is no message");
             return false;
         }
-        owner->laneMessage(*message);
+        owner.laneMessage(*message);
     }
     if (reader_.failed())
         end(opening_.state() == ClientOpening::State::Open

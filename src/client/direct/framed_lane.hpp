@@ -48,9 +48,8 @@ class FramedLane final : public LaneReaders::Lane, public std::enable_shared_fro
     void overdue() override { end("no answer in time"); }
 
   private:
-    bool readAll();
-    void tellRead();
-    bool deliver();
+    bool readAll(Owner& owner, int& reads);
+    bool deliver(Owner& owner);
     bool onOpening(std::string_view frame, Owner& owner);
 
     const std::shared_ptr<LaneReaders> readers_;

@@ -44,9 +44,11 @@ bool LaneReaders::start() {
     wake_ = std::move(wake);
     try {
         for (auto& thread : threads_) thread = std::thread([this] { run(); });
-    } catch (const std::system_error&) {  // one is enough, as long as no callback blocks it
-        if (threads_.front().joinable()) return true;
-        epoll_.reset();
+    } catch (const std::system_error&) {
+        // One is not enough, since a callback may block it. Without lanes a thread takes no lock.
+        over_ = true;
+        this->wake();
+        if (threads_.front().joinable()) threads_.front().join();
         return false;
     }
     return true;
@@ -155,20 +157,23 @@ void LaneReaders::run() {
         // One at a time: what else is ready is the other thread's while this one is inside a callback.
         epoll_event event{};
         const int count = ::epoll_wait(epoll_.get(), &event, 1, timeout());
-        if (over_) return;
+        if (over_) break;
         if (count > 0 && event.data.u64 == kWake) {
             eventfd_t ignored = 0;
             ::eventfd_read(wake_.get(), &ignored);
         } else if (count > 0) {
+            // While this thread is inside a callback, the other one keeps the deadlines.
+            if (deadlines_ != 0) wake();
             if (const auto lane = laneOf(event.data.u64))
                 lane->ready({(event.events & (EPOLLIN | EPOLLRDHUP | EPOLLHUP | EPOLLERR)) != 0,
                              (event.events & EPOLLOUT) != 0,
                              (event.events & (EPOLLRDHUP | EPOLLHUP | EPOLLERR)) != 0});
         } else if (count < 0 && errno != EINTR) {
-            return;  // the set is no set: a bug, which is not to be repeated for ever
+            break;  // the set is no set: a bug, which is not to be repeated for ever
         }
         tellOverdue();
     }
+    wake();  // the sign that ended this thread may have been the only one
 }
 
 }  // namespace axon::client

@@ -18,6 +18,11 @@ namespace axon::direct::lane {
 namespace {
 
 constexpr std::size_t kPiecesMax = 128;
+// Signs of life on the signal lane do not show that this connection still carries anything.
+constexpr int kIdleS = 15;  // then the kernel asks whether the other end is there
+constexpr int kProbesS = 5;
+constexpr int kProbes = 3;
+constexpr int kUnreadMs = 30'000;  // bytes that the other end's kernel has not taken
 
 bool later(int error) {
     return error == EAGAIN || error == EWOULDBLOCK || error == EINTR;
@@ -26,8 +31,15 @@ bool later(int error) {
 }  // namespace
 
 void prepare(int socket) {
-    const int on = 1;
-    ::setsockopt(socket, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+    const auto set = [socket](int level, int option, int value) {
+        ::setsockopt(socket, level, option, &value, sizeof value);
+    };
+    set(IPPROTO_TCP, TCP_NODELAY, 1);
+    set(SOL_SOCKET, SO_KEEPALIVE, 1);
+    set(IPPROTO_TCP, TCP_KEEPIDLE, kIdleS);
+    set(IPPROTO_TCP, TCP_KEEPINTVL, kProbesS);
+    set(IPPROTO_TCP, TCP_KEEPCNT, kProbes);
+    set(IPPROTO_TCP, TCP_USER_TIMEOUT, kUnreadMs);
 }
 
 LaneSocket::LaneSocket(Descriptor socket) : socket_(std::move(socket)) {

@@ -13,8 +13,8 @@
 
 namespace axon::direct::lane {
 
-/// Sets a connection's options: no delay. No time-out: silence is noticed on the signal lane, and a side that
-/// reads nothing for long is none.
+/// Sets a connection's options: no delay; over when the other end's kernel answers nothing for 30 s, or takes
+/// no byte of what waits for it. A firewall may forget this connection while the signal lane lives on.
 void prepare(int socket);
 /// As Wire::write.
 std::optional<std::size_t> writeTo(int socket, std::span<const std::string_view> pieces);

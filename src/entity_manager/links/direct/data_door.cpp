@@ -1,13 +1,18 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/links/direct/data_door.hpp"
 
+#include <pthread.h>
 #include <spdlog/spdlog.h>
 
+#include <asio/bind_executor.hpp>
 #include <asio/buffer.hpp>
+#include <asio/executor_work_guard.hpp>
+#include <asio/io_context.hpp>
 #include <asio/ip/tcp.hpp>
 #include <asio/post.hpp>
 #include <map>
 #include <optional>
+#include <thread>
 #include <utility>
 #include <variant>
 #include <vector>
@@ -39,6 +44,43 @@ constexpr transport::ConnectionBounds kBounds{
     .strangers_of_one_address = 64, .strangers = 256, .to_log_in = 10s, .silence = 60s};
 constexpr const char* kHolderClosed = "its holder's end is closed";
 
+/// The thread that reads and accepts for one door, and waits until something can be written. It takes the
+/// strand itself when that is free, as the threads of Ice do. It is an ordinary one: the strand's own thread
+/// runs with priority, because it beats, and a holder who floods must not have that.
+class Reader {
+  public:
+    explicit Reader(asio::any_io_executor its_strand) : strand(std::move(its_strand)) {}
+
+    /// What runs the connections' operations. Held by whoever has some.
+    asio::io_context io{1};
+    const asio::any_io_executor strand;
+
+    void start() {
+        thread_ = std::thread([this] {
+            ::pthread_setname_np(::pthread_self(), "axon-direct");
+            io.run();
+        });
+    }
+    /// Once every connection has ended, so that nothing more comes.
+    void join() {
+        work_.reset();
+        if (thread_.joinable()) thread_.join();
+    }
+    /// On the strand.
+    template <class Handler>
+    auto then(Handler handler) const {
+        return asio::bind_executor(strand, std::move(handler));
+    }
+    template <class Handler>
+    void later(Handler handler) {
+        asio::post(io, then(std::move(handler)));
+    }
+
+  private:
+    asio::executor_work_guard<asio::io_context::executor_type> work_{io.get_executor()};
+    std::thread thread_;
+};
+
 }  // namespace
 
 /// One connection: first a stranger's, and then the data lane of a path.
@@ -49,8 +91,13 @@ class DataDoor::Connection final : public DirectLane,
                                    public direct::lane::Wire,
                                    public std::enable_shared_from_this<Connection> {
   public:
-    Connection(std::weak_ptr<Connections> home, std::uint64_t id, tcp::socket socket, const Id128& nonce)
-        : id(id), home_(std::move(home)), socket_(std::move(socket)), opening_(nonce) {
+    Connection(std::shared_ptr<Reader> reader, std::weak_ptr<Connections> home, std::uint64_t id,
+               tcp::socket socket, const Id128& nonce)
+        : id(id),
+          thread_(std::move(reader)),
+          home_(std::move(home)),
+          socket_(std::move(socket)),
+          opening_(nonce) {
         asio::error_code ignored;
         socket_.non_blocking(true, ignored);
         const auto from = socket_.remote_endpoint(ignored);
@@ -109,19 +156,19 @@ class DataDoor::Connection final : public DirectLane,
         const auto room = reader_.room();
         socket_.async_read_some(
             asio::buffer(room.data(), room.size()),
-            [self = shared_from_this()](const asio::error_code& error, std::size_t count) {
+            thread_->then([self = shared_from_this()](const asio::error_code& error, std::size_t count) {
                 self->reading_ = false;
                 if (self->over_) return;
                 if (error) return self->end(kHolderClosed);
                 self->reader_.filled(count);
                 if (self->deliver()) self->read();
-            });
+            }));
     }
     /// What has been read. False when nothing more is to be read for now. Nothing may escape: the thread may
     /// be one of Ice.
     bool deliver() noexcept;
     void later() {
-        asio::post(socket_.get_executor(), [self = shared_from_this()] {
+        thread_->later([self = shared_from_this()] {
             if (self->deliver()) self->read();
         });
     }
@@ -130,13 +177,13 @@ class DataDoor::Connection final : public DirectLane,
         if (over_ || awaiting_writable_ || !outbox_.waiting()) return;
         awaiting_writable_ = true;
         socket_.async_wait(tcp::socket::wait_write,
-                           [self = shared_from_this()](const asio::error_code& error) {
+                           thread_->then([self = shared_from_this()](const asio::error_code& error) {
                                self->awaiting_writable_ = false;
                                if (self->over_) return;
                                if (error || self->outbox_.flush() == LaneOutbox::Outcome::Over)
                                    return self->end(kHolderClosed);
                                self->awaitWritable();
-                           });
+                           }));
     }
     std::shared_ptr<DirectLane> admit(const Sender& sender, const std::string& proof);
     void refuse(const Refusal& refusal) {
@@ -144,6 +191,7 @@ class DataDoor::Connection final : public DirectLane,
             if (writeWhole(opening_.refuse(refusal))) end(refusal.message);
     }
 
+    const std::shared_ptr<Reader> thread_;  // before the socket, which ends first
     const std::weak_ptr<Connections> home_;
     tcp::socket socket_;
     std::string peer_;
@@ -169,10 +217,19 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
         : entity(std::move(its_entity)),
           events(std::move(its_events)),
           clock_(clock),
-          acceptor_(strand, tcp::endpoint(asio::ip::make_address(address), port)),
+          thread_(std::make_shared<Reader>(strand)),
+          acceptor_(thread_->io, tcp::endpoint(asio::ip::make_address(address), port)),
           timer_(strand, clock) {}
 
-    void start() { accept(); }
+    void start() {
+        accept();
+        thread_->start();
+    }
+    /// On any thread but the door's.
+    void join() {
+        if (!shut_) shut();  // the other door could not listen
+        thread_->join();
+    }
     void shut() {
         shut_ = true;
         asio::error_code ignored;
@@ -200,7 +257,7 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
         if (shut_ || accepting_) return;
         accepting_ = true;
         acceptor_.async_accept(
-            [self = shared_from_this()](const asio::error_code& error, tcp::socket socket) {
+            thread_->then([self = shared_from_this()](const asio::error_code& error, tcp::socket socket) {
                 self->accepting_ = false;
                 if (self->shut_) return;
                 // Where it failed there are no descriptors; those that are refused until the next look are
@@ -208,11 +265,11 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
                 if (!error) self->take(std::move(socket));
                 if (error || ++self->accepted_ >= kAcceptsPerLook) return self->lookIn(kLooks);
                 self->accept();
-            });
+            }));
     }
     void take(tcp::socket socket) {
-        const auto connection = std::make_shared<Connection>(weak_from_this(), ++last_, std::move(socket),
-                                                             Id128::random(random_));
+        const auto connection = std::make_shared<Connection>(thread_, weak_from_this(), ++last_,
+                                                             std::move(socket), Id128::random(random_));
         connections_.emplace(connection->id, connection);
         connection->start();
         look();
@@ -246,6 +303,7 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
 
     const Clock& clock_;
     SystemRandom random_;
+    const std::shared_ptr<Reader> thread_;  // before the acceptor, which ends first
     tcp::acceptor acceptor_;
     DueTimer timer_;
     ConnectionLimitsCore limits_{kBounds};
@@ -346,7 +404,9 @@ DataDoor::DataDoor(const asio::any_io_executor& strand, const std::string& addre
     connections_->start();
 }
 
-DataDoor::~DataDoor() = default;
+DataDoor::~DataDoor() {
+    connections_->join();
+}
 
 void DataDoor::shut() {
     connections_->shut();

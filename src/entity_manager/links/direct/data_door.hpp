@@ -13,11 +13,13 @@ namespace axon::entity_manager {
 /// Where clients open the data lanes of direct paths: a port of TCP, and the connections that came to it
 /// (docs/reference/direct.md, "Frames of the data lane").
 ///
-/// Where in the flow: on the strand of the Entity Manager, so that a message that comes is handled, and its
-/// answer written, by the thread that has read it. Threads: the strand's alone, but for the destructor.
-/// Bounds: of connections without a path 64 of one address and 256 in all are kept, for 10 s, the oldest are
-/// closed; at most 64 are taken in each 100 ms, so that a flood of them leaves the strand to others.
-/// Failure: the constructor throws std::runtime_error where it cannot listen.
+/// Where in the flow: on the strand of the Entity Manager. A thread of the door's own reads, and takes the
+/// strand itself when it is free, so that a message that comes is handled, and its answer written, by the
+/// thread that has read it. Threads: the strand's alone, but for the destructor, which comes after shut()
+/// and joins that thread. Bounds: of connections without a path 64 of one address and 256
+/// in all are kept, for 10 s, the oldest are closed; at most 64 are taken in each 100 ms, so that a flood of
+/// them leaves the strand to others. Failure: the constructor throws std::runtime_error where it cannot
+/// listen.
 class DataDoor {
   public:
     /// `port` 0: a free one.
