@@ -2,7 +2,6 @@
 #include "cli/agent.hpp"
 
 #include <poll.h>
-#include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
@@ -40,8 +39,7 @@ Agent::Agent(Descriptor listening, Perform perform, Holds holds, std::chrono::mi
     : perform_(std::move(perform)),
       holds_(std::move(holds)),
       linger_(linger),
-      listening_(std::move(listening)),
-      woken_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
+      listening_(std::move(listening)) {}
 
 Agent::~Agent() {
     for (auto& connection : connections_) {
@@ -52,8 +50,7 @@ Agent::~Agent() {
 }
 
 void Agent::wake() const {
-    const std::uint64_t one = 1;
-    static_cast<void>(::write(woken_.get(), &one, sizeof one) == sizeof one);
+    woken_.wake();
 }
 
 void Agent::stop() {
@@ -78,7 +75,7 @@ void Agent::serve() {
         }
         if (connections_.empty() && holds_()) end_when_alone_ = false;
 
-        std::vector<pollfd> watched{{woken_.get(), POLLIN, 0}};
+        std::vector<pollfd> watched{{woken_.fd(), POLLIN, 0}};
         if (listening_.open() && connections_.size() < kMostConnections)
             watched.push_back({listening_.get(), POLLIN, 0});
         const auto first = watched.size();
@@ -90,10 +87,7 @@ void Agent::serve() {
         }
         // A second is how late a lease that was lost is noticed for the purpose of ending.
         if (::poll(watched.data(), watched.size(), 1000) <= 0) continue;
-        if ((watched[0].revents & POLLIN) != 0) {
-            std::uint64_t count = 0;
-            static_cast<void>(::read(woken_.get(), &count, sizeof count) == sizeof count);
-        }
+        if ((watched[0].revents & POLLIN) != 0) woken_.drain();
         if (first == 2 && (watched[1].revents & POLLIN) != 0) {
             Descriptor accepted(::accept4(listening_.get(), nullptr, nullptr, SOCK_CLOEXEC));
             ucred peer{};

@@ -10,6 +10,7 @@
 
 #include "cli/agent_link.hpp"
 #include "cli/session.hpp"
+#include "host/wake_up.hpp"
 
 namespace axon::cli {
 
@@ -56,7 +57,7 @@ class Agent {
     const Holds holds_;
     const std::chrono::milliseconds linger_;
     Descriptor listening_;
-    Descriptor woken_;
+    WakeUp woken_;
     std::atomic<bool> stopping_{false};
     std::list<std::unique_ptr<Connection>> connections_;  // confined to serve()'s thread
     bool end_when_alone_ = false;                         // likewise

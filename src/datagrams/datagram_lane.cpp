@@ -5,7 +5,6 @@
 #include <poll.h>
 #include <pthread.h>
 #include <sched.h>
-#include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -52,10 +51,9 @@ DatagramLane::DatagramLane(std::string thread_name, Endpoint bind, const Clock& 
         const auto error = errno;
         throw std::system_error(error, std::generic_category(), what + (" " + bind.toString()));
     };
+    if (!wake_.open()) fail("eventfd for datagrams at");
     socket_ = Descriptor(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
     if (!socket_.open()) fail("socket for datagrams at");
-    wake_ = Descriptor(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-    if (!wake_.open()) fail("eventfd for datagrams at");
     prepareDatagramSocket(socket_.get());
     auto address = toSocket(bind);
     if (::bind(socket_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
@@ -80,8 +78,7 @@ void DatagramLane::send(const Endpoint& to, std::string_view bytes) const {
 }
 
 void DatagramLane::wake() const {
-    const std::uint64_t one = 1;
-    (void)!::write(wake_.get(), &one, sizeof one);
+    wake_.wake();
 }
 
 void DatagramLane::run() {
@@ -96,10 +93,9 @@ void DatagramLane::run() {
         const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(wait);
         const timespec time{static_cast<time_t>(seconds.count()),
                             static_cast<long>((wait - seconds).count())};
-        std::array<pollfd, 2> waiting{{{wake_.get(), POLLIN, 0}, {socket_.get(), POLLIN, 0}}};
+        std::array<pollfd, 2> waiting{{{wake_.fd(), POLLIN, 0}, {socket_.get(), POLLIN, 0}}};
         if (::ppoll(waiting.data(), waiting.size(), &time, nullptr) < 0 && errno != EINTR) return;
-        std::uint64_t count = 0;
-        (void)!::read(wake_.get(), &count, sizeof count);
+        wake_.drain();
         for (int i = 0; i < kReadsPerRound && !ending_ && readSome(); ++i) {
         }
         if (refused_in_a_row_ >= kRefusedInARow) {
@@ -126,7 +122,7 @@ bool DatagramLane::readSome() {
 /// Datagrams wait meanwhile, or are dropped by the kernel.
 void DatagramLane::rest(Duration time) const {
     const timespec rest{0, static_cast<long>(time.count())};
-    pollfd waiting{wake_.get(), POLLIN, 0};
+    pollfd waiting{wake_.fd(), POLLIN, 0};
     (void)::ppoll(&waiting, 1, &rest, nullptr);
 }
 

@@ -9,6 +9,7 @@
 #include "common/clock.hpp"
 #include "common/descriptor.hpp"
 #include "datagrams/endpoint.hpp"
+#include "host/wake_up.hpp"
 
 namespace axon::datagrams {
 
@@ -49,7 +50,7 @@ class DatagramLane {
     const Received received_;
     const Due due_;
     Descriptor socket_;
-    Descriptor wake_;
+    WakeUp wake_;
     Endpoint local_;
     int refused_in_a_row_ = 0;  // confined to the thread
     std::atomic<bool> ending_{false};

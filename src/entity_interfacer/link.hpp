@@ -9,7 +9,7 @@
 #include <string>
 
 #include "common/frame.hpp"
-#include "entity_interfacer/wake_up.hpp"
+#include "host/wake_up.hpp"
 
 namespace axon::proto {
 class EiToEm;

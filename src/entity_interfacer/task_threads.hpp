@@ -16,7 +16,7 @@
 #include <vector>
 
 #include "common/refusal.hpp"
-#include "entity_interfacer/wake_up.hpp"
+#include "host/wake_up.hpp"
 
 namespace axon {
 

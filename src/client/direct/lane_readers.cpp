@@ -3,7 +3,6 @@
 
 #include <pthread.h>
 #include <sys/epoll.h>
-#include <sys/eventfd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -37,17 +36,17 @@ LaneReaders::~LaneReaders() {
 /// Under mutex_.
 bool LaneReaders::start() {
     if (epoll_.open()) return true;
-    Descriptor set(::epoll_create1(EPOLL_CLOEXEC)), wake(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-    if (!set.open() || !wake.open() || !watch(set.get(), EPOLL_CTL_ADD, wake.get(), EPOLLIN, kWake))
+    Descriptor set(::epoll_create1(EPOLL_CLOEXEC));
+    wake_.emplace();
+    if (!set.open() || !wake_->open() || !watch(set.get(), EPOLL_CTL_ADD, wake_->fd(), EPOLLIN, kWake))
         return false;
     epoll_ = std::move(set);
-    wake_ = std::move(wake);
     try {
         for (auto& thread : threads_) thread = std::thread([this] { run(); });
     } catch (const std::system_error&) {
         // One is not enough, since a callback may block it. Without lanes a thread takes no lock.
         over_ = true;
-        this->wake();
+        wake_->wake();
         if (threads_.front().joinable()) threads_.front().join();
         return false;
     }
@@ -65,7 +64,7 @@ bool LaneReaders::add(std::uint64_t number, std::shared_ptr<Lane> lane, TimePoin
     }
     if (has(deadline)) {
         ++deadlines_;
-        wake();
+        wake_->wake();
     }
     return true;
 }
@@ -78,7 +77,7 @@ void LaneReaders::due(std::uint64_t number, TimePoint deadline) {
     found->second.deadline = deadline;
     if (!has(deadline)) return;
     ++deadlines_;
-    wake();
+    wake_->wake();
 }
 
 void LaneReaders::again(std::uint64_t number) {
@@ -106,14 +105,10 @@ void LaneReaders::end() {
         over_ = true;
         left = std::exchange(lanes_, {});
         threads = std::exchange(threads_, {});
-        if (wake_.open()) wake();
+        if (wake_) wake_->wake();
     }
     for (auto& thread : threads)
         if (thread.joinable()) thread.join();
-}
-
-void LaneReaders::wake() {
-    ::eventfd_write(wake_.get(), 1);
 }
 
 std::shared_ptr<LaneReaders::Lane> LaneReaders::laneOf(std::uint64_t number) const {
@@ -159,11 +154,10 @@ void LaneReaders::run() {
         const int count = ::epoll_wait(epoll_.get(), &event, 1, timeout());
         if (over_) break;
         if (count > 0 && event.data.u64 == kWake) {
-            eventfd_t ignored = 0;
-            ::eventfd_read(wake_.get(), &ignored);
+            wake_->drain();
         } else if (count > 0) {
             // While this thread is inside a callback, the other one keeps the deadlines.
-            if (deadlines_ != 0) wake();
+            if (deadlines_ != 0) wake_->wake();
             if (const auto lane = laneOf(event.data.u64))
                 lane->ready({(event.events & (EPOLLIN | EPOLLRDHUP | EPOLLHUP | EPOLLERR)) != 0,
                              (event.events & EPOLLOUT) != 0,
@@ -173,7 +167,7 @@ void LaneReaders::run() {
         }
         tellOverdue();
     }
-    wake();  // the sign that ended this thread may have been the only one
+    wake_->wake();  // the sign that ended this thread may have been the only one
 }
 
 }  // namespace axon::client

@@ -6,10 +6,12 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "common/clock.hpp"
 #include "common/descriptor.hpp"
+#include "host/wake_up.hpp"
 
 namespace axon::client {
 
@@ -61,7 +63,6 @@ class LaneReaders {
     void run();
     int timeout();
     void tellOverdue();
-    void wake();
     std::shared_ptr<Lane> laneOf(std::uint64_t number) const;
 
     const Clock& clock_;
@@ -73,7 +74,8 @@ class LaneReaders {
     std::atomic<std::uint64_t> last_{0};
     std::atomic<std::size_t> deadlines_{0};  // how many lanes have one
     std::atomic<bool> over_{false};
-    Descriptor epoll_, wake_;  // constant once there are threads
+    Descriptor epoll_;            // these two constant once there are threads
+    std::optional<WakeUp> wake_;  // none before the first start()
 };
 
 }  // namespace axon::client

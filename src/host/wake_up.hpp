@@ -9,11 +9,13 @@
 
 namespace axon {
 
-/// Wakes a thread out of poll(2); any thread, and signal handlers, may call wake().
+/// Wakes a thread out of poll(2) or epoll_wait(2); any thread, and signal handlers, may call wake(). Failure:
+/// where the process has no descriptor left it is not open, and wakes nobody.
 class WakeUp {
   public:
     WakeUp() : fd_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {}
     int fd() const { return fd_.get(); }
+    bool open() const { return fd_.open(); }
     void wake() const {
         const std::uint64_t one = 1;
         [[maybe_unused]] const auto written = ::write(fd_.get(), &one, sizeof one);
