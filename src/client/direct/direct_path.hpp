@@ -115,6 +115,8 @@ class DirectPath {
         acknowledged.store(received, std::memory_order_relaxed);
         if (asks && permitted_) beat();
     }
+    /// Lane and nonce are those of the last proofFor(); before it, data and none.
+    const direct::Claim& claim() const { return claim_; }
     /// The nonce of a lane has come: this side's proof. One lane after the other.
     std::string proofFor(Lane lane, const Id128& nonce) {
         claim_.lane = lane;

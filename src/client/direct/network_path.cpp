@@ -76,12 +76,10 @@ void NetworkPath::open(Duration timeout) {
     timeout_ms_ = static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count());
     auto socket = direct::lane::LaneSocket::connectTo(offer_.data_endpoint);
     if (!socket) return close(socket.refusal().message);
-    const direct::Claim claim{Lane::Data, offer_.lease, Id128::parse(uuidOf(offer_.client)).value_or(Id128{}),
-                              number_, Id128{}};
     data_ = std::make_shared<FramedLane>(
         readers_, std::move(socket).value(),
         direct::lane::ClientOpening(
-            claim,
+            claim(),
             [weak = weak_from_this()](const Id128& nonce) {
                 const auto self = weak.lock();
                 return self ? self->proofFor(Lane::Data, nonce) : std::string();
