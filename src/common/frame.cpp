@@ -12,11 +12,14 @@ constexpr std::size_t kKeep = 2 * FrameReader::kReadMax;  // a buffer that one l
                                                           // back
 }  // namespace
 
+void appendNumber(std::string& out, std::uint32_t number) {
+    for (const unsigned shift : {24U, 16U, 8U, 0U})
+        out.push_back(static_cast<char>((number >> shift) & 0xFFU));
+}
+
 bool appendFrame(std::string& out, std::string_view payload) {
     if (payload.empty() || payload.size() > kFrameMax) return false;
-    const auto length = static_cast<std::uint32_t>(payload.size());
-    for (const unsigned shift : {24U, 16U, 8U, 0U})
-        out.push_back(static_cast<char>((length >> shift) & 0xFFU));
+    appendNumber(out, static_cast<std::uint32_t>(payload.size()));
     out.append(payload);
     return true;
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 #pragma once
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <span>
@@ -12,8 +13,11 @@ namespace axon {
 /// A frame of the EM-EI link holds at most this much after its length (docs/reference/ei-link.md).
 inline constexpr std::size_t kFrameMax = 1024 * 1024;
 
-/// Appends a 4-byte big-endian length and the payload. False, and nothing appended, when the payload is empty
-/// or larger than kFrameMax.
+/// Appends 4 bytes, in network order.
+void appendNumber(std::string& out, std::uint32_t number);
+
+/// Appends a length of 4 bytes, in network order, and the payload. False, and nothing appended, when the
+/// payload is empty or larger than kFrameMax.
 bool appendFrame(std::string& out, std::string_view payload);
 
 /// Cuts a byte stream into frames. I/O-free: bytes in, payloads out. The bytes are fed, or a caller that

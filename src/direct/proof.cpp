@@ -5,17 +5,14 @@
 
 #include <array>
 
+#include "common/frame.hpp"
+
 namespace axon::direct {
 namespace {
 
 constexpr std::string_view kMagic = "AxDi";
 constexpr char kVersion = 1;
 constexpr std::size_t kKeyBytes = 16;
-
-void put(std::string& to, std::uint32_t value) {
-    for (int shift = 24; shift >= 0; shift -= 8)
-        to += static_cast<char>(value >> static_cast<unsigned>(shift) & 255U);
-}
 
 }  // namespace
 
@@ -24,8 +21,8 @@ std::string proofOf(const Claim& claim, Prover prover, std::string_view key) {
     text += kVersion;
     text += static_cast<char>(prover);
     text += static_cast<char>(claim.lane);
-    put(text, static_cast<std::uint32_t>(claim.lease.epoch));
-    put(text, static_cast<std::uint32_t>(claim.lease.number));
+    appendNumber(text, static_cast<std::uint32_t>(claim.lease.epoch));
+    appendNumber(text, static_cast<std::uint32_t>(claim.lease.number));
     text += claim.client.bytes() + claim.path.bytes() + claim.nonce.bytes();
 
     const std::string under(key);  // an empty view's data may be null

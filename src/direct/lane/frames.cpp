@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "direct/lane/frames.hpp"
 
+#include "common/frame.hpp"
+
 namespace axon::direct::lane {
 namespace {
 
@@ -50,12 +52,8 @@ std::optional<MessageView> messageIn(std::string_view frame) {
 }
 
 std::string frameOf(Kind kind, std::string_view content) {
-    const auto length = 1 + content.size();
     std::string frame;
-    frame.reserve(4 + length);
-    for (const unsigned shift : {24U, 16U, 8U, 0U}) frame += static_cast<char>(length >> shift & 0xFFU);
-    frame += static_cast<char>(kind);
-    frame += content;
+    appendFrame(frame, std::string(1, static_cast<char>(kind)).append(content));
     return frame;
 }
 

@@ -76,7 +76,7 @@ struct MessageView {
 /// Nothing where the frame is no message, or not a proper one.
 std::optional<MessageView> messageIn(std::string_view frame);
 
-/// A frame of the opening.
+/// A frame of the opening; its content is at most kOpeningMax.
 std::string frameOf(Kind kind, std::string_view content);
 
 /// Reads numbers and bytes from the front; what is not there fails for good, and reads as nothing.

@@ -68,12 +68,6 @@ Result<Descriptor> LaneSocket::connectTo(const std::string& endpoint) {
     return Refusal{RefusalCode::NotConnected, endpoint + ": " + std::generic_category().message(errno), {}};
 }
 
-int LaneSocket::failure() const {
-    int error = 0;
-    socklen_t size = sizeof error;
-    return ::getsockopt(socket_.get(), SOL_SOCKET, SO_ERROR, &error, &size) == 0 ? error : errno;
-}
-
 std::optional<std::size_t> writeTo(int socket, std::span<const std::string_view> pieces) {
     std::array<iovec, kPiecesMax> parts;
     std::size_t count = 0;
@@ -110,18 +104,6 @@ LaneSocket::Read LaneSocket::read(std::span<char> room) {
 
 void LaneSocket::shut() {
     ::shutdown(socket_.get(), SHUT_RDWR);
-}
-
-std::string LaneSocket::peer() const {
-    sockaddr_storage address{};
-    socklen_t size = sizeof address;
-    std::array<char, NI_MAXHOST> host{};
-    std::array<char, NI_MAXSERV> port{};
-    if (::getpeername(socket_.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0 ||
-        ::getnameinfo(reinterpret_cast<sockaddr*>(&address), size, host.data(), host.size(), port.data(),
-                      port.size(), NI_NUMERICHOST | NI_NUMERICSERV) != 0)
-        return "an unknown address";
-    return std::string(host.data()) + ":" + port.data();
 }
 
 }  // namespace axon::direct::lane

@@ -25,11 +25,9 @@ class LaneSocket final : public Wire {
     /// Takes it over, and prepares it.
     explicit LaneSocket(Descriptor socket);
     /// Begins to connect to "a.b.c.d:port" or "[a::b]:port" without waiting; it is connected or has failed
-    /// when it is writable (failure()).
+    /// when it is writable, and a failed one is Lost when it is read.
     static Result<Descriptor> connectTo(const std::string& endpoint);
 
-    /// Why the connection could not be made; 0 when it was.
-    int failure() const;
     std::optional<std::size_t> write(std::span<const std::string_view> pieces) override {
         return writeTo(socket_.get(), pieces);
     }
@@ -41,11 +39,9 @@ class LaneSocket final : public Wire {
         int error = 0;  ///< where it is Lost
     };
     Read read(std::span<char> room);
-    /// No byte comes or goes any more; who waits for it hears that.
+    /// No byte comes or goes from now on; who waits for one hears that.
     void shut();
     int descriptor() const { return socket_.get(); }
-    /// "192.168.0.9:50122", for logs.
-    std::string peer() const;
 
   private:
     const Descriptor socket_;

@@ -3,6 +3,7 @@
 
 #include <utility>
 
+#include "common/frame.hpp"
 #include "direct/lane/frames.hpp"
 
 namespace axon::direct::lane {
@@ -11,10 +12,6 @@ namespace {
 constexpr std::size_t kIdBytes = 16;
 constexpr std::size_t kProofBytes = 32;
 constexpr std::size_t kTextMax = 1024;  // of a refusal
-
-void put(std::string& to, std::uint32_t value) {
-    for (const unsigned shift : {24U, 16U, 8U, 0U}) to += static_cast<char>(value >> shift & 0xFFU);
-}
 
 std::optional<Id128> idIn(Fields& fields) {
     return Id128::fromBytes(fields.take(kIdBytes));
@@ -30,7 +27,7 @@ std::string otherContract(std::uint32_t ours, std::uint32_t theirs) {
 
 std::string ManagerOpening::greeting() const {
     std::string content;
-    put(content, kContract);
+    appendNumber(content, kContract);
     content += nonce_.bytes();
     return frameOf(Kind::Nonce, content);
 }
@@ -70,7 +67,7 @@ std::string ManagerOpening::admit(std::string_view proof) {
 std::string ManagerOpening::refuse(const Refusal& refusal) {
     state_ = State::Over;
     std::string content;
-    put(content, static_cast<std::uint32_t>(refusal.code));
+    appendNumber(content, static_cast<std::uint32_t>(refusal.code));
     content += refusal.message.substr(0, kTextMax);
     return frameOf(Kind::Refusal, content);
 }
@@ -95,9 +92,9 @@ std::variant<std::string, Refusal> ClientOpening::onFrame(std::string_view frame
         if (!fields.done() || !nonce) return over(RefusalCode::Malformed, "its nonce is none");
         state_ = State::ProofAwaited;
         std::string content;
-        put(content, kContract);
-        put(content, static_cast<std::uint32_t>(claim_.lease.epoch));
-        put(content, static_cast<std::uint32_t>(claim_.lease.number));
+        appendNumber(content, kContract);
+        appendNumber(content, static_cast<std::uint32_t>(claim_.lease.epoch));
+        appendNumber(content, static_cast<std::uint32_t>(claim_.lease.number));
         content += claim_.client.bytes() + claim_.path.bytes() + prove_(*nonce);
         return frameOf(Kind::Claim, content);
     }
