@@ -6,15 +6,12 @@
 
 #include "common/liveness.hpp"
 #include "common/queue_share.hpp"
+#include "common/refuse.hpp"
 #include "common/snapshot.hpp"
 #include "entity_server/sessions/registration_check.hpp"
 
 namespace axon::entity_server {
 namespace {
-
-Refusal refuse(RefusalCode code, std::string message) {
-    return {code, std::move(message), {}};
-}
 
 constexpr std::size_t index(Lane lane) {
     return static_cast<std::size_t>(lane);
@@ -284,7 +281,7 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
         return;
     }
     const auto at = elsewhere_.serverOf(head.entity, lane);
-    if (!at) return session->outbox(lane).newRefusalMsg(head, unknownEntity(head));
+    if (!at) return session->outbox(lane).newRefusalMsg(head, unknownEntity(head.entity));
     if (const auto sent = topic_.peerMsg(lane, *at, head, message); !sent.ok())
         session->outbox(lane).newRefusalMsg(head, sent.refusal());
 }
@@ -295,7 +292,7 @@ void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view m
     if (peer) undelivered_.noteSlow(head);
     // Or it left before that was known at the sender's server.
     if (const auto from = elsewhere_.serverOf(head.sender.id, lane))
-        topic_.peerRefusal(lane, *from, head, peer ? slowEntity(head) : unknownEntity(head));
+        topic_.peerRefusal(lane, *from, head, peer ? slowEntity(head) : unknownEntity(head.entity));
 }
 
 void EntityServerCore::clientUnreached(const Header& head, const Refusal& refusal) {

@@ -12,6 +12,7 @@
 #include "common/liveness.hpp"
 #include "common/planted_bug.hpp"
 #include "common/queue_share.hpp"
+#include "common/refuse.hpp"
 #include "common/utf8.hpp"
 #include "front_end_server/clients/admission.hpp"
 #include "front_end_server/clients/client.hpp"
@@ -20,16 +21,10 @@ namespace axon::front_end_server {
 
 namespace {
 
-Refusal refuse(RefusalCode code, std::string message) {
-    return {code, std::move(message), {}};
-}
-
 constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as much as a message
 
 void refuseUnknown(ClientOutbox& to, const Header& head) {
-    to.newRefusalMsg(
-        head, refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
-                                                     " is connected; 'axon ls' shows those that are there"));
+    to.newRefusalMsg(head, unknownEntity(head.entity));
 }
 
 }  // namespace
@@ -445,10 +440,10 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     std::string entity, doubted;
     {
         const std::lock_guard lock(mutex_);
-        const auto news = entities_.update(status, number, via);
-        if (!news) return;
+        const auto record_before = entities_.update(status, number, via);
+        if (!record_before) return;
         entity = status.entity;
-        const auto& before = news->before->status.holder.id;
+        const auto& before = record_before->status.holder.id;
         const auto& holder = status.holder.id;
         if (before != holder) letGo(before, entity);
         if (!holder.empty()) {

@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "common/refuse.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::server {
@@ -27,10 +28,6 @@ constexpr const char* kBehindARouter = "somebody behind a router";
 /// For logs and refusals.
 std::string cut(const std::string& name) {
     return std::string(cutUtf8(validUtf8(name.substr(0, 2 * kUserShown)), kUserShown));
-}
-
-Refusal refuse(RefusalCode code, std::string message) {
-    return {code, std::move(message), {}};
 }
 
 }  // namespace

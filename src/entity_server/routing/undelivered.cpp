@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "common/queue_share.hpp"
+#include "common/refuse.hpp"
 
 namespace axon::entity_server {
 namespace {
@@ -13,12 +14,6 @@ constexpr std::size_t kRemembered = 4096;
 
 }  // namespace
 
-Refusal unknownEntity(const Header& head) {
-    return {RefusalCode::UnknownEntity,
-            "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there",
-            {}};
-}
-
 Refusal slowEntity(const Header& head) {
     return queueShareFull("entity " + head.entity.substr(0, 64));
 }
@@ -27,7 +22,7 @@ Undelivered::Undelivered(bool alone, const Clock& clock, FrontEndTopic& topic, N
     : alone_(alone), clock_(clock), topic_(topic), note_(std::move(note)), lines_(kLinesPerSecond) {}
 
 void Undelivered::unknown(Lane lane, const Header& head, Via via) {
-    if (alone_ || via == Via::Straight) topic_.entityRefusal(lane, head, unknownEntity(head));
+    if (alone_ || via == Via::Straight) topic_.entityRefusal(lane, head, unknownEntity(head.entity));
 }
 
 void Undelivered::unknownData(const Header& head, Via via) {

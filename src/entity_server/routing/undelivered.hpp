@@ -16,8 +16,7 @@
 
 namespace axon::entity_server {
 
-/// UNKNOWN_ENTITY and OVERLOADED, of the entity that this message is for.
-Refusal unknownEntity(const Header& head);
+/// OVERLOADED, of the entity that this message is for.
 Refusal slowEntity(const Header& head);
 
 /// Answers for messages that do not get to their entity, and what the log says of them.

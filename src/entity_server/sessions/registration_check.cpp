@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "common/entity_name.hpp"
+#include "common/refuse.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::entity_server {
@@ -14,10 +15,6 @@ constexpr int kHeartbeatMinMs = 10;
 constexpr int kHeartbeatMaxMs = 60'000;
 constexpr std::size_t kNameMax = 256;
 constexpr std::size_t kTextMax = 1024;
-
-Refusal refuse(RefusalCode code, std::string message) {
-    return {code, std::move(message), {}};
-}
 
 /// Like it, and one that isEntityName().
 std::string otherName(std::string name) {

@@ -4,16 +4,10 @@
 #include <string>
 #include <utility>
 
+#include "common/refuse.hpp"
 #include "common/rights.hpp"
 
 namespace axon::front_end_server {
-namespace {
-
-Refusal refuse(RefusalCode code, std::string message) {
-    return {code, std::move(message), {}};
-}
-
-}  // namespace
 
 Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const Entities& entities,
                    const Clock& clock) {
