@@ -62,19 +62,18 @@ std::optional<Entities::News> Entities::update(Presence presence, Registration r
     return News{known ? Presence::Changed : Presence::Joined, record, false};
 }
 
-std::optional<Entities::NewStatus> Entities::update(const EntityStatus& status, std::int64_t number,
-                                                    Via via) {
+Entities::RecordRef Entities::update(const EntityStatus& status, std::int64_t number, Via via) {
     if (via == Via::Topic) hear(status.server);
     const auto found = records_.find(status.entity);
-    if (found == records_.end()) return {};
+    if (found == records_.end()) return nullptr;
     const auto before = found->second;
     if (before->registration.server != status.server) {
         if (before->status != status) disputed_.insert(status.entity);
-        return {};
+        return nullptr;
     }
-    if (number != 0 && number <= before->number) return {};
+    if (number != 0 && number <= before->number) return nullptr;
     const bool same = before->heard && before->status == status;
-    if (same && number == 0) return {};
+    if (same && number == 0) return nullptr;
     auto next = std::make_shared<Record>(*before);
     next->number = number;
     if (!same) {
@@ -83,8 +82,8 @@ std::optional<Entities::NewStatus> Entities::update(const EntityStatus& status, 
         countBusy(before.get(), next.get());
     }
     found->second = std::move(next);
-    if (same) return {};
-    return NewStatus{before, found->second};
+    if (same) return nullptr;
+    return before;
 }
 
 Entities::Left Entities::forget(const std::string& server, const std::unordered_set<std::string>& but) {

@@ -48,10 +48,6 @@ class Entities {
         RecordRef record;
         bool disputed;  ///< ask all servers
     };
-    struct NewStatus {
-        RecordRef before;
-        RecordRef now;
-    };
     struct Left {
         std::vector<RecordRef> records;
         bool disputed;  ///< ask all servers
@@ -74,8 +70,9 @@ class Entities {
     RecordRef find(const std::string& entity) const;
     /// None where nothing is new.
     std::optional<News> update(Presence presence, Registration registration, std::string_view profile);
-    /// `number`: grows with each of its server; 0 = there is one copy. None where it is not to be told.
-    std::optional<NewStatus> update(const EntityStatus& status, std::int64_t number, Via via);
+    /// `number`: grows with each of its server; 0 = there is one copy. The record before; null where it is
+    /// not to be told.
+    RecordRef update(const EntityStatus& status, std::int64_t number, Via via);
     /// All entities of this server have left, but those of the list.
     Left forget(const std::string& server, const std::unordered_set<std::string>& but);
 

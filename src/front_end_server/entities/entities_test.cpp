@@ -22,8 +22,7 @@ class EntitiesTest : public testing::Test {
     std::optional<Entities::News> leave(const std::string& entity, const std::string& server = "es1") {
         return entities.update(Presence::Left, registration(entity, server), {});
     }
-    std::optional<Entities::NewStatus> status(EntityState state, std::int64_t number,
-                                              const std::string& server = "es1") {
+    Entities::RecordRef status(EntityState state, std::int64_t number, const std::string& server = "es1") {
         EntityStatus out;
         out.entity = "a";
         out.server = server;
@@ -95,10 +94,10 @@ TEST_F(EntitiesTest, TheNewestCopyOfAStatusCountsInWhateverOrderTheyCome) {
     EXPECT_EQ(entities.find("a")->status.state, EntityState::BUSY);
     EXPECT_FALSE(status(EntityState::BUSY, 4)) << "nothing new to tell";
     EXPECT_FALSE(status(EntityState::IDLE, 3)) << "but newer than this";
-    const auto news = status(EntityState::IDLE, 5);
-    ASSERT_TRUE(news);
-    EXPECT_EQ(news->before->status.state, EntityState::BUSY);
-    EXPECT_EQ(news->now->status.state, EntityState::IDLE);
+    const auto before = status(EntityState::IDLE, 5);
+    ASSERT_TRUE(before);
+    EXPECT_EQ(before->status.state, EntityState::BUSY);
+    EXPECT_EQ(entities.find("a")->status.state, EntityState::IDLE);
     join("a", "es2");
     EXPECT_TRUE(status(EntityState::BUSY, 1, "es2")) << "another server counts for itself";
 }
