@@ -370,7 +370,7 @@ TEST_F(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
     readers->end();
     const auto late = std::make_shared<Path>();
     const auto none = begin(late);
-    EXPECT_TRUE(late->over) << "there are no readers any more";
+    EXPECT_TRUE(late->over) << "there are no readers left";
 }
 
 }  // namespace

@@ -42,7 +42,7 @@ class Presence final : public Owner {
     /// Fires ServerUp, or ServerReturned where a lease has outlived the last session; before it ServerDown
     /// where another session still counted.
     void sessionBegan();
-    /// There is no session any more, or none that counts; why. Fires ServerDown.
+    /// There is no longer a session, or none that counts; why. Fires ServerDown.
     void sessionEnded(const std::string& reason);
     void up();
     void down() { up_ = false; }

@@ -25,8 +25,8 @@ class StopOrders {
             std::size_t waiting = 0;
         };
         virtual ~Others() = default;
-        /// There is a newer stop generation. `ends`: the robot application is not busy by its own account any
-        /// more; false for a reset, after which it may go on.
+        /// There is a newer stop generation. `ends`: the robot application is no longer busy by its own
+        /// account; false for a reset, after which it may go on.
         virtual void stopReachesTasks(bool ends) = 0;
         virtual TaskCounts taskCounts() const = 0;
         /// As far as is known.

@@ -29,7 +29,7 @@ class DataDoor {
     DataDoor(const DataDoor&) = delete;
     DataDoor& operator=(const DataDoor&) = delete;
 
-    /// Takes no connection any more, and ends those that are there.
+    /// Takes no more connections, and ends those that are there.
     void shut();
     /// DirectEvents::directMsg() may take more again.
     void roomAgain();
