@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
-// draw-client [FOLDER_OF_DRAWINGS [SERVER]]: sets, uploads and watches what the entity Plotter takes and gives.
+// draw-client [FOLDER_OF_DRAWINGS [SERVER]]: sets, uploads and watches what the entity Plotter takes and
+// gives.
 #include <atomic>
 #include <axon/client.hpp>
 #include <iostream>
@@ -31,7 +32,7 @@ void describe(const client::Service& service) {
     for (const auto& parameter : service.parameters) {
         std::cout << "  " << parameter.name << ": " << toString(parameter.kind) << ' '
                   << toString(parameter.data_type) << ' ' << parameter.units;
-        for (const auto& choice : parameter.choices) std::cout << " [" << toText(choice) << ']';
+        for (const auto& choice : parameter.choices) std::cout << " [" << client::toText(choice) << ']';
         std::cout << '\n';
     }
     for (const auto& missing : service.missing) std::cout << "  missing: " << missing << '\n';
@@ -70,7 +71,7 @@ int main(int argc, char** argv) {
     // [draw]
     const auto end = plotter.run("Draw", {{"Size", {100.0}}, {"Color", {"blue"}}}).wait();
     show("in blue", end.reason);
-    std::cout << "Length " << toText(end.results.at("Length").front()) << " mm, more than 20 samples: "
-              << (samples > 20 ? "yes" : "no") << '\n';
+    std::cout << "Length " << client::toText(end.results.at("Length").front())
+              << " mm, more than 20 samples: " << (samples > 20 ? "yes" : "no") << '\n';
     // [end]
 }

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: MIT
-// cart-entity [FOLDER_OF_PROFILES [PORTS_FILE]]: a simulated cart that rolls on for a moment after it was stopped.
+// cart-entity [FOLDER_OF_PROFILES [PORTS_FILE]]: a simulated cart that rolls on for a moment after it was
+// stopped.
+#include <algorithm>
 #include <atomic>
 #include <axon/entity_interfacer.hpp>
 #include <iostream>
@@ -51,8 +53,7 @@ struct EndOfCallbacks {
 }  // namespace
 
 int main(int argc, char** argv) try {
-    if (argc > 1 && *argv[1] == '-')
-        return std::cout << "cart-entity [FOLDER_OF_PROFILES [PORTS_FILE]]\n", 0;
+    if (argc > 1 && *argv[1] == '-') return std::cout << "cart-entity [FOLDER_OF_PROFILES [PORTS_FILE]]\n", 0;
     const std::filesystem::path profiles = argc > 1 ? argv[1] : ".";
     axon::EntityInterfacer interfacer(
         {.application = "Cart", .ports_file = argc > 2 ? argv[2] : "", .reports_standstill = true});

@@ -59,7 +59,8 @@ void stop(client::Client& lab, const client::CheckOut& cart) {
     // [end]
     // [rearm]
     const auto next = cart.run("Drive").wait();
-    std::cout << "Drive again: " << toString(next.state) << ", " << axon::refusalName(next.reason.code) << '\n';
+    std::cout << "Drive again: " << toString(next.state) << ", " << axon::refusalName(next.reason.code)
+              << '\n';
     must(lab.rearm("Cart"));
     std::cout << "after a rearm: " << toString(begin(cart, "Drive").wait().state) << '\n';
     // [end]

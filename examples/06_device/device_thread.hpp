@@ -9,8 +9,8 @@
 
 /// Serves the line to the motor on a thread of its own.
 ///
-/// Only this thread reads and writes the line. Everybody else leaves a wish and wakes it, so that nobody waits for the
-/// motor. The mutex is held for a few assignments, and never while the line is used.
+/// Only this thread reads and writes the line. Everybody else leaves a wish and wakes it, so that nobody
+/// waits for the motor. The mutex is held for a few assignments, and never while the line is used.
 class DeviceThread {
   public:
     /// `stands` is called on the device's thread when the motor has come to rest after a stop.
@@ -47,9 +47,9 @@ class DeviceThread {
     std::atomic<bool> end_{false};
 
     mutable std::mutex mutex_;
-    Pass stops_ = 0;          // guarded by mutex_
+    Pass stops_ = 0;           // guarded by mutex_
     double wanted_deg_s_ = 0;  // guarded by mutex_
-    bool stopping_ = false;   // guarded by mutex_: a stop whose standstill was not reported yet
+    bool stopping_ = false;    // guarded by mutex_: a stop whose standstill was not reported yet
 
     // Confined to the device's thread.
     std::string received_;

@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: MIT
 #include "simulated_motor.hpp"
 
-#include <sys/prctl.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
-#include <csignal>
 #include <cstdio>
 #include <iostream>
 #include <string>
@@ -40,8 +38,7 @@ void turn(int line) {
                     std::cout << "motor: " << ordered_deg_s << " deg/s" << std::endl;
                 wanted_deg_s = ordered_deg_s;
             }
-            const auto answer =
-                "AT " + std::to_string(angle_deg) + " " + std::to_string(speed_deg_s) + "\n";
+            const auto answer = "AT " + std::to_string(angle_deg) + " " + std::to_string(speed_deg_s) + "\n";
             (void)!send(line, answer.data(), answer.size(), MSG_NOSIGNAL);
         }
     }

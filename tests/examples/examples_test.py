@@ -16,7 +16,7 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tests" / "tutorials")]
 import console  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, wait_until  # noqa: E402
 
 BIN = programs()
 EXAMPLES = ROOT / "examples"
@@ -70,7 +70,8 @@ class ExamplesTest(unittest.TestCase):
         self.lab.wait_for_entity("Turntable")
         status, lines, errors = self.lab.axon("run", "Turntable", "Turn", "Angle=45")
         self.assertEqual(status, 0, errors)
-        self.assertGreaterEqual(lines[-2 if lines[-1]["event"] == "released" else -1]["results"]["Turned"][0], 45)
+        end = [line for line in lines if line["event"] == "task"][-1]
+        self.assertGreaterEqual(end["results"]["Turned"][0], 45)
         turning = self.lab.axon_in_background("turning", "run", "Turntable", "Turn", "Angle=3600")
         self.wait_for_line("motor: 90 deg/s", 2)
         status, lines, errors = self.lab.axon("stop", "Turntable")
@@ -90,7 +91,6 @@ class ExamplesTest(unittest.TestCase):
         self.wait_for_line("motor: 0 deg/s", 1)
 
     def wait_for_line(self, line, count):
-        from laboratory import wait_until
         wait_until(lambda: self.application.text().splitlines().count(line) >= count, f"{count} × '{line}'")
 
 

@@ -17,12 +17,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-sys.path.insert(0, str(HERE))
+sys.path[:0] = [str(HERE), str(ROOT / "tools")]
 import console  # noqa: E402
+from laboratory import Failed, wait_until  # noqa: E402
 
 SKIPPED = 77
 INSIDE = "AXON_PAGE_TEST_INSIDE"
@@ -172,14 +172,15 @@ def with_records(text, record):
 
 
 def again_until(terminal, step, seconds=30):
-    end = time.monotonic() + seconds
-    while True:
-        printed, _ = terminal.run(step.typed)
-        if console.agrees(step.expected, printed):
-            return
-        if time.monotonic() > end:
-            raise console.Differs(f"not within {seconds} s" + console.difference(step.expected, printed))
-        time.sleep(0.1)
+    printed = []
+
+    def tried():
+        printed[:] = terminal.run(step.typed)[0]
+        return console.agrees(step.expected, printed)
+    try:
+        wait_until(tried, step.typed, seconds)
+    except Failed:
+        raise console.Differs(f"not within {seconds} s" + console.difference(step.expected, printed)) from None
 
 
 def main():
