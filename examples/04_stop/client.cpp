@@ -62,7 +62,8 @@ void stop(client::Client& lab, const client::CheckOut& cart) {
     std::cout << "Drive again: " << toString(next.state) << ", " << axon::refusalName(next.reason.code)
               << '\n';
     must(lab.rearm("Cart"));
-    std::cout << "after a rearm: " << toString(begin(cart, "Drive").wait().state) << '\n';
+    const auto last = begin(cart, "Drive").wait();
+    std::cout << "Drive after a rearm: " << toString(last.state) << '\n';
     // [end]
 }
 
