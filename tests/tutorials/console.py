@@ -3,7 +3,8 @@
 
 A page has fenced blocks. Those of the language `console` are typed into a terminal: a line that begins with "$ " is a
 command, a line that begins with "> " goes on with it, and "^C" is the key. All other lines are what must be printed,
-where … stands for anything in one line, and a line of its own … for any number of lines. Comments directly before a block say what else matters:
+where … stands for anything in one line, and a line of its own … for any number of lines. Two spaces or more are the gap
+between two columns, however wide. Comments directly before a block say what else matters:
 
     <!-- terminal: NAME -->      the terminal in which it is typed; without it, "shell"
     <!-- stays -->               the last command goes on running; only what it prints until now is compared
@@ -94,10 +95,15 @@ def steps(block):
     return found
 
 
+def narrow(line):
+    """With gaps of two spaces: how wide a column is depends on what is in it."""
+    return re.sub(r" {2,}", "  ", line.rstrip())
+
+
 def pattern(expected):
     """A regular expression for lines that each end with a line feed."""
     parts = []
-    for line in expected:
+    for line in map(narrow, expected):
         if line.strip() == "…":
             parts.append(r"(?:[^\n]*\n)*?")
         else:
@@ -116,7 +122,7 @@ def trimmed(lines):
 
 def agrees(expected, printed):
     """Whether these lines are what the page shows, neither more nor less."""
-    return pattern(trimmed(expected)).fullmatch("".join(line + "\n" for line in trimmed(printed))) is not None
+    return pattern(trimmed(expected)).fullmatch("".join(narrow(line) + "\n" for line in trimmed(printed))) is not None
 
 
 def begins(expected, printed):
@@ -124,7 +130,7 @@ def begins(expected, printed):
     shift = 0
     while shift < len(printed) and not printed[shift].strip():
         shift += 1
-    text = "".join(line + "\n" for line in printed[shift:])
+    text = "".join(narrow(line) + "\n" for line in printed[shift:])
     hit = pattern(trimmed(expected)).match(text)
     return None if hit is None else shift + hit.group().count("\n")
 

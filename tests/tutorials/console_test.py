@@ -45,6 +45,10 @@ class OutputTest(unittest.TestCase):
         self.assertFalse(console.agrees(["a", "b"], ["a"]))
         self.assertFalse(console.agrees([], ["a"]))
 
+    def test_columns_may_be_wider_than_shown(self):
+        self.assertTrue(console.agrees(["A  B", "1  … ms"], ["A   B ", "1   12.5 ms"]))
+        self.assertFalse(console.agrees(["A  B"], ["A B"]))
+
     def test_nothing_in_an_expected_line_is_a_pattern(self):
         self.assertFalse(console.agrees(["a.c*"], ["abcc"]))
         self.assertTrue(console.agrees(["(a) [b] $"], ["(a) [b] $"]))
