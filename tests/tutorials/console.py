@@ -273,7 +273,7 @@ class Terminal:
 
     def asks_below(self, row):
         """Whether the line of the cursor is another question for a password."""
-        return self.screen.row > row and re.search(r"password.*: ?$", self.screen.lines[self.screen.row], re.IGNORECASE)
+        return self.screen.row > row and re.search(r"(password|once more).*: ?$", self.screen.lines[self.screen.row], re.IGNORECASE)
 
     def expect(self, expected, seconds=20):
         """Waits until the lines that were not compared yet begin with these."""
