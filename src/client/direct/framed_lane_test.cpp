@@ -247,6 +247,7 @@ TEST_F(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
         ASSERT_TRUE(waitUntil([&] { return other->count() == static_cast<std::size_t>(i); }));
     }
     barrier.letGo();
+    readers->end();  // before what the callback uses
     EXPECT_TRUE(other->inOrder());
 }
 
@@ -268,6 +269,7 @@ TEST_F(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThrea
     ASSERT_TRUE(waitUntil([&] { return path->count() == 200; }));
     EXPECT_TRUE(path->inOrder());
     barrier.letGo();
+    readers->end();  // before what the callback uses
 }
 
 TEST_F(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
@@ -336,6 +338,7 @@ TEST_F(FramedLaneTest, ADeadlineOfOneLanePassesWhileACallbackOfAnotherDoesNotRet
     }
     EXPECT_FALSE(blocked->over);
     barrier.letGo();
+    readers->end();  // before what the callback uses
 }
 
 // Nothing ends such a connection but the kernel, whose half minute is shortened here. The signal lane, which
