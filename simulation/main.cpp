@@ -11,7 +11,7 @@
 #include <stdexcept>
 #include <thread>
 
-#include "common/planted_bug.hpp"
+#include "common/planted_bug_names.hpp"
 #include "simulation/world.hpp"
 
 namespace {
@@ -46,10 +46,7 @@ struct Options {
 
 #ifdef AXON_PLANTED_BUGS
 axon::PlantedBug plantedBug(const std::string& wanted) {
-#define AXON_MATCH(name, what) \
-    if (wanted == #name) return axon::PlantedBug::name;
-    AXON_EACH_PLANTED_BUG(AXON_MATCH)
-#undef AXON_MATCH
+    if (const auto bug = axon::plantedBugOf(wanted)) return *bug;
     throw std::invalid_argument("--bug: there is no \"" + wanted + "\"; fix: --list-bugs shows them");
 }
 #endif

@@ -3,19 +3,14 @@
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 
-#include <cstdlib>
-
 #include "simulation/world.hpp"
+#include "support/setting.hpp"
 
 namespace axon::simulation {
 namespace {
 
 using namespace std::chrono_literals;
-
-std::uint64_t setting(const char* name, std::uint64_t otherwise) {
-    const char* text = std::getenv(name);
-    return text == nullptr ? otherwise : std::strtoull(text, nullptr, 10);
-}
+using test::setting;
 
 TEST(Timeline, EventsComeInTheOrderOfTheirTimeAndThenOfTheirMaking) {
     Timeline timeline;

@@ -5,11 +5,11 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cstdlib>
 #include <deque>
 #include <map>
 #include <set>
 
+#include "support/setting.hpp"
 #include "tests/support/core_rig.hpp"
 
 namespace axon::test {
@@ -687,11 +687,6 @@ class World {
     std::string broken_, last_, effects_;
     std::deque<std::string> history_;
 };
-
-std::uint64_t setting(const char* name, std::uint64_t otherwise) {
-    const char* text = std::getenv(name);
-    return text == nullptr ? otherwise : std::strtoull(text, nullptr, 10);
-}
 
 TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
     const auto only = setting("AXON_SEED", 0);

@@ -6,8 +6,8 @@
 #include <gtest/gtest.h>
 #include <sys/socket.h>
 
+#include <algorithm>
 #include <array>
-#include <cstdlib>
 #include <deque>
 #include <memory>
 #include <string>
@@ -18,6 +18,7 @@
 #include "direct/lane/lane_socket.hpp"
 #include "direct/lane/opening.hpp"
 #include "direct/outgoing_way.hpp"
+#include "support/setting.hpp"
 
 namespace axon::direct::lane {
 namespace {
@@ -305,11 +306,9 @@ class World {
 };
 
 TEST(LaneProperty, EveryMessageComesOnceAndInOrderWhateverTheConnectionDoes) {
-    const char* given = std::getenv("AXON_SEED");
-    const std::uint64_t first = given != nullptr ? std::strtoull(given, nullptr, 10) : 1;
-    const char* many = std::getenv("AXON_SEEDS");  // ./check --full: 1000
-    const std::uint64_t last =
-        given != nullptr ? first : 10 * (many != nullptr ? std::strtoull(many, nullptr, 10) : 100);
+    const auto only = test::setting("AXON_SEED", 0);
+    const auto first = std::max<std::uint64_t>(only, 1);
+    const auto last = only != 0 ? only : 10 * test::setting("AXON_SEEDS", 100);  // ./check --full: 1000
     int by_lane = 0, opened = 0, waited = 0, breaks = 0, strangers = 0;
     for (auto seed = first; seed <= last; ++seed) {
         SCOPED_TRACE("AXON_SEED=" + std::to_string(seed));
@@ -323,7 +322,7 @@ TEST(LaneProperty, EveryMessageComesOnceAndInOrderWhateverTheConnectionDoes) {
         breaks += world.breaks;
         strangers += world.strangers;
     }
-    if (given != nullptr) return;
+    if (only != 0) return;
     // A model that never gets there would find nothing.
     const int seeds = static_cast<int>(last);
     EXPECT_GT(by_lane, seeds);

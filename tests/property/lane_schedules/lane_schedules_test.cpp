@@ -22,18 +22,20 @@
 #include <string>
 #include <thread>
 
-#include "common/planted_bug.hpp"
+#include "common/planted_bug_names.hpp"
 #include "lane_schedules/between.hpp"
 #include "lane_schedules/book.hpp"
 #include "lane_schedules/client_end.hpp"
 #include "lane_schedules/manager_end.hpp"
 #include "support/loopback.hpp"
 #include "support/moved_clock.hpp"
+#include "support/setting.hpp"
 
 namespace axon::schedules {
 namespace {
 
 using namespace std::chrono_literals;
+using test::setting;
 
 std::size_t entriesOf(const char* folder) {
     return static_cast<std::size_t>(std::distance(std::filesystem::directory_iterator(folder), {}));
@@ -421,23 +423,15 @@ class Trial {
     std::string hangs_;
 };
 
-std::uint64_t setting(const char* name, std::uint64_t otherwise) {
-    const char* given = std::getenv(name);
-    return given != nullptr ? std::strtoull(given, nullptr, 10) : otherwise;
-}
-
 /// AXON_BUG=NAME, of a program that has them (tools/planted_bugs). False: there is no such bug.
 bool plantBug() {
     const char* wanted = std::getenv("AXON_BUG");
     if (wanted == nullptr) return true;
 #ifdef AXON_PLANTED_BUGS
-#define AXON_MATCH(name, what)               \
-    if (wanted == std::string_view(#name)) { \
-        planted_bug = PlantedBug::name;      \
-        return true;                         \
+    if (const auto bug = plantedBugOf(wanted)) {
+        planted_bug = *bug;
+        return true;
     }
-    AXON_EACH_PLANTED_BUG(AXON_MATCH)
-#undef AXON_MATCH
 #endif
     return false;
 }
