@@ -10,6 +10,8 @@ extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, k
     kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
     kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory;
 
+extern const Verb kDocs;
+
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
         &kLs,             //
@@ -46,6 +48,7 @@ const std::vector<const Verb*>& verbs() {
         &kBench,          //
         &kCerts,          //
         &kAgent,          //
+        &kDocs,           //
         &kCompletion,     //
         &kComplete,       //
         &kVersion,        //
