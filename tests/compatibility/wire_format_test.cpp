@@ -223,7 +223,7 @@ TEST(WireFormat, WhatIceCarriesIsReadAsInItsRelease) {
         const std::vector<Ice::Byte> bytes(text.begin(), text.end());
         Ice::InputStream in(communicator.communicator(), bytes);
         in.read(value);
-        EXPECT_EQ(in.pos(), static_cast<int>(bytes.size())) << name;
+        EXPECT_EQ(in.pos(), bytes.size()) << name;
         return transport::fromIce(std::move(value));
     };
     const auto head = read("slice-header", transport::ice::Header{});

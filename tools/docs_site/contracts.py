@@ -253,10 +253,10 @@ def write(root, work, source):
     groups = [("Classes", cpp_pages(root, work, source)), ("Operations between processes (Slice)", slice_pages(root, work, source)),
               ("Messages (protobuf)", Proto(root, work).write(source))]
     lines = ["# API", "What programs are written against.",
-             "[Write a client in another language](/docs/how-to/foreign-client.md) explains how the two contracts are used; "
-             "[compatibility](/docs/reference/compatibility.md) says what later releases keep.", ""]
+             "[Write a client in another language](../docs/how-to/foreign-client.md) explains how the two contracts are used; "
+             "[compatibility](../docs/reference/compatibility.md) says what later releases keep.", ""]
     for title, pages in groups:
-        lines += [f"## {title}", ""] + [f"* [{name}](/{page})" + (f": {escaped(what)}" if what else "") for page, name, what in pages] + [""]
+        lines += [f"## {title}", ""] + [f"* [{name}](../{page})" + (f": {escaped(what)}" if what else "") for page, name, what in pages] + [""]
     lines += ["```{toctree}", ":hidden:", ""] + ["/" + re.sub(r"\.(md|rst)$", "", page) for _, pages in groups for page, _, _ in pages] + ["```"]
     (source / "sections").mkdir(exist_ok=True)
     (source / "sections" / "api.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

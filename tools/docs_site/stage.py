@@ -34,14 +34,14 @@ def title_of(text):
 
 
 def descriptions(root):
-    """What docs/README.md says of each page, in the order in which it does."""
+    """What docs/README.md says of each page, in the order in which it does; links as seen from a folder below the root."""
     index = root / "docs" / "README.md"
     found = {}
     for _, line in check_docs.prose(index.read_text(encoding="utf-8")):
         row = re.match(r"\| \[[^\]]*\]\(([^)#]+)\) \| (.*) \|$", line)
         if row:
             name = os.path.normpath(os.path.join("docs", row.group(1)))
-            found[name] = re.sub(r"\]\((?!https?:)([^)#]+)", lambda m: "](/" + os.path.normpath(os.path.join("docs", m.group(1))), row.group(2))
+            found[name] = re.sub(r"\]\((?!https?:)([^)#]+)", lambda m: "](../" + os.path.normpath(os.path.join("docs", m.group(1))), row.group(2))
     return found
 
 
@@ -154,7 +154,7 @@ def write(root, source):
         elif listed[key]:
             lines = [f"# {title}", what, ""]
             for name in listed[key]:
-                lines.append(f"* [{title_of(texts[name])}](/{name})" + (f": {told[name]}" if name in told else ""))
+                lines.append(f"* [{title_of(texts[name])}](../{name})" + (f": {told[name]}" if name in told else ""))
             (source / "sections").mkdir(exist_ok=True)
             (source / f"sections/{key}.md").write_text("\n".join(lines) + "\n" + toctree([entry(n) for n in listed[key]], ":hidden:\n"), encoding="utf-8")
             sections.append((title, f"sections/{key}.md", what))
@@ -165,10 +165,10 @@ def write(root, source):
     last = [(title, name) for title, name in LAST if name in texts]
     lines = [f"# Axon {release(root)}",
              "Axon is middleware for a laboratory with several robots: people and programs share the robots, command them and stop them.", "",
-             "New here? [Start here](/README.md)" +
-             (", or look up one of the [questions that everybody asks](/docs/questions.md)." if "docs/questions.md" in texts else "."),
+             "New here? [Start here](README.md)" +
+             (", or look up one of the [questions that everybody asks](docs/questions.md)." if "docs/questions.md" in texts else "."),
              "The search on the left looks through all pages.", ""]
-    lines += [f"* [{title}](/{name}): {what[0].lower()}{what[1:]}" for title, name, what in sections]
+    lines += [f"* [{title}]({name}): {what[0].lower()}{what[1:]}" for title, name, what in sections]
     lines += ["", "These pages belong to the release that their title names."]
     names = [entry(name, title) for title, name in first] + [entry(name, title) for title, name, _ in sections] + \
             [entry(name, title) for title, name in last]
