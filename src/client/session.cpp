@@ -56,7 +56,7 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
     : options_(settled(std::move(options))),
       clock_(std::move(clock)),
       communicators_(std::make_unique<Communicators>()),
-      lane_readers_(std::make_shared<LaneReaders>(*clock_)),
+      lane_readers_(std::make_shared<LaneReaders>(*clock_, options_.direct_spin)),
       core_(settingsOf(options_), *clock_, random_, messages_, news_, marks_),
       direct_(*clock_, static_cast<std::size_t>(std::max(options_.direct_paths, 0)),
               [this](const DirectOffer& offer) {

@@ -93,7 +93,8 @@ struct Barrier {
     int inside = 0;
 };
 
-class FramedLaneTest : public ::testing::Test {
+/// With threads that spin, and with some that do not.
+class FramedLaneTest : public ::testing::TestWithParam<std::chrono::microseconds> {
   protected:
     FramedLaneTest() {
         address_.sin_family = AF_INET;
@@ -164,7 +165,7 @@ class FramedLaneTest : public ::testing::Test {
     SteadyClock clock;
     SeededRandom random{1};
     direct::Claim claim{Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
-    std::shared_ptr<LaneReaders> readers = std::make_shared<LaneReaders>(clock);
+    std::shared_ptr<LaneReaders> readers = std::make_shared<LaneReaders>(clock, GetParam());
 
   private:
     Descriptor listens_{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
@@ -179,12 +180,16 @@ struct Quiet final : LaneReaders::Lane {
     Descriptor sign{::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)};
 };
 
+const auto kSpins = ::testing::Values(0us, 50us);
+const auto kSpinName = [](const auto& one) { return one.param == 0us ? "Sleeping" : "Spinning"; };
+
 /// Both threads must hear of the end, although one of them may take the sign that was for the other. Without
 /// that one round in some ten thousand hangs.
-TEST(LaneReadersTest, EndHoweverLateADeadlineWasSet) {
+class LaneReadersTest : public ::testing::TestWithParam<std::chrono::microseconds> {};
+TEST_P(LaneReadersTest, EndHoweverLateADeadlineWasSet) {
     const SteadyClock clock{};
     for (int round = 0; round < 2000; ++round) {
-        LaneReaders readers(clock);
+        LaneReaders readers(clock, GetParam());
         const auto number = readers.next();
         ASSERT_TRUE(readers.add(number, std::make_shared<Quiet>(), clock.now() + 1h));
         for (int i = 0; i < round % 40; ++i) std::this_thread::yield();
@@ -193,7 +198,7 @@ TEST(LaneReadersTest, EndHoweverLateADeadlineWasSet) {
     }
 }
 
-TEST_F(FramedLaneTest, OpensAndCarriesMessagesBothWays) {
+TEST_P(FramedLaneTest, OpensAndCarriesMessagesBothWays) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     const auto manager = admit();
@@ -214,7 +219,7 @@ TEST_F(FramedLaneTest, OpensAndCarriesMessagesBothWays) {
     ASSERT_TRUE(waitUntil([&] { return path->over.load(); }));
 }
 
-TEST_F(FramedLaneTest, WhatCameBeforeTheEndIsTold) {
+TEST_P(FramedLaneTest, WhatCameBeforeTheEndIsTold) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     {
@@ -230,7 +235,7 @@ TEST_F(FramedLaneTest, WhatCameBeforeTheEndIsTold) {
 }
 
 // The other thread is the relief for that.
-TEST_F(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
+TEST_P(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
     const auto blocked = std::make_shared<Path>(), other = std::make_shared<Path>();
     Barrier barrier;
     blocked->on_message = [&] { barrier.pass(); };
@@ -249,7 +254,7 @@ TEST_F(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
     EXPECT_TRUE(other->inOrder());
 }
 
-TEST_F(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThreadInOrder) {
+TEST_P(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThreadInOrder) {
     const auto path = std::make_shared<Path>();
     Barrier barrier;
     const auto lane = begin(path);
@@ -269,7 +274,69 @@ TEST_F(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThrea
     barrier.letGo();
 }
 
-TEST_F(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
+// A thread that spins keeps the kernel from waking the other one, but only until it has found something.
+TEST_P(FramedLaneTest, AReaderInACallbackIsRelievedAlsoWhileMessagesComeInQuickSuccession) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    constexpr std::size_t kCount = 3000;
+    std::atomic<std::size_t> answered{0};
+    std::atomic<int> unrelieved{0};
+    {
+        const std::lock_guard lock(path->mutex);
+        path->on_read = [&] {
+            const auto now = path->count();
+            if (answered.exchange(now) == now) return;
+            Header head;
+            head.sequence = static_cast<std::int64_t>(now);
+            lane->send(Keeping::Kept, head, std::make_shared<const std::string>("answer"));
+            // The next message is the answer's.
+            if (now % 10 == 0 && now < kCount && !waitUntil([&] { return path->count() > now; }))
+                ++unrelieved;
+        };
+    }
+    axon::FrameReader reader;
+    for (std::size_t i = 1; i <= kCount && unrelieved == 0; ++i) {
+        say(manager, message(static_cast<std::int64_t>(i)));
+        ASSERT_EQ(direct::lane::messageIn(hear(manager, reader)).value().sequence,
+                  static_cast<std::int64_t>(i));
+    }
+    EXPECT_EQ(unrelieved, 0);
+    EXPECT_TRUE(path->inOrder());
+    readers->end();
+}
+
+// Of two lanes that are ready at once, one is left to the other thread.
+TEST_P(FramedLaneTest, TwoLanesThatAreReadyAtOnceAreReadAlthoughTheCallbackOfOneDoesNotReturn) {
+    for (int round = 0; round < 200; ++round) {
+        const auto one = std::make_shared<Path>(), two = std::make_shared<Path>();
+        const auto first = begin(one);
+        const auto manager_of_one = admit();
+        const auto second = begin(two);
+        const auto manager_of_two = admit();
+        ASSERT_TRUE(waitUntil([&] { return one->open && two->open; }));
+        std::atomic<int> inside{0};
+        // Each returns only when the other one has been called.
+        const auto both = [&] {
+            ++inside;
+            if (!waitUntil([&] { return inside == 2; })) inside = 100;
+        };
+        {
+            const std::lock_guard lock_one(one->mutex), lock_two(two->mutex);
+            one->on_message = two->on_message = both;
+        }
+        say(manager_of_one, message(1));
+        say(manager_of_two, message(1));
+        ASSERT_TRUE(waitUntil([&] { return one->count() == 1 && two->count() == 1; }));
+        ASSERT_TRUE(waitUntil([&] { return inside >= 2; }));
+        ASSERT_EQ(inside, 2) << "round " << round;
+        first->end("over");
+        second->end("over");
+    }
+}
+
+TEST_P(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
     const auto flooded = std::make_shared<Path>(), other = std::make_shared<Path>();
     const auto first = begin(flooded);
     const auto manager_of_first = admit();
@@ -291,7 +358,7 @@ TEST_F(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
     floods.join();
 }
 
-TEST_F(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
+TEST_P(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path, 50ms);
     const auto silent = accept();
@@ -306,7 +373,7 @@ TEST_F(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
     EXPECT_EQ(later->reason, "no answer in time");
 }
 
-TEST_F(FramedLaneTest, WhateverElseAnswersEndsIt) {
+TEST_P(FramedLaneTest, WhateverElseAnswersEndsIt) {
     const std::string ice("IceP\1\0\1\0\3\0\16\0\0\0", 14);  // what Ice says first
     for (const auto& answer : {ice, std::string(4, '\0'), std::string("HTTP/1.1 400 Bad Request\r\n\r\n"),
                                direct::lane::frameOf(Kind::Kept, "x")}) {
@@ -321,7 +388,7 @@ TEST_F(FramedLaneTest, WhateverElseAnswersEndsIt) {
     }
 }
 
-TEST_F(FramedLaneTest, ImproperFramesAfterTheOpeningEndIt) {
+TEST_P(FramedLaneTest, ImproperFramesAfterTheOpeningEndIt) {
     const std::string too_long("\x7f\0\0\0\5", 5);
     for (const auto& wrong : {direct::lane::frameOf(Kind::Nonce, std::string(20, 'n')),
                               direct::lane::frameOf(Kind::Kept, "cut"), too_long}) {
@@ -337,7 +404,7 @@ TEST_F(FramedLaneTest, ImproperFramesAfterTheOpeningEndIt) {
     }
 }
 
-TEST_F(FramedLaneTest, WhatDoesNotFitLeavesWhenTheOtherSideReads) {
+TEST_P(FramedLaneTest, WhatDoesNotFitLeavesWhenTheOtherSideReads) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     const auto manager = admit();
@@ -355,7 +422,7 @@ TEST_F(FramedLaneTest, WhatDoesNotFitLeavesWhenTheOtherSideReads) {
         ASSERT_EQ(direct::lane::messageIn(hear(manager, reader)).value().sequence, i);
 }
 
-TEST_F(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
+TEST_P(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     const auto manager = admit();
@@ -372,6 +439,9 @@ TEST_F(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
     const auto none = begin(late);
     EXPECT_TRUE(late->over) << "there are no readers left";
 }
+
+INSTANTIATE_TEST_SUITE_P(Threads, LaneReadersTest, kSpins, kSpinName);
+INSTANTIATE_TEST_SUITE_P(Threads, FramedLaneTest, kSpins, kSpinName);
 
 }  // namespace
 }  // namespace axon::client

@@ -23,6 +23,7 @@
 #include "direct/lane/lane_outbox.hpp"
 #include "direct/lane/lane_socket.hpp"
 #include "direct/lane/opening.hpp"
+#include "direct/lane/spin.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 #include "transport/ice/connection_limits_core.hpp"
 
@@ -46,10 +47,12 @@ constexpr const char* kHolderClosed = "its holder's end is closed";
 
 /// The thread that reads and accepts for one door, and waits until something can be written. It takes the
 /// strand itself when that is free, as the threads of Ice do. It is an ordinary one: the strand's own thread
-/// runs with priority, because it beats, and a holder who floods must not have that.
+/// runs with priority, because it beats, and a holder who floods must not have that. Nor must a thread that
+/// spins.
 class Reader {
   public:
-    explicit Reader(asio::any_io_executor its_strand) : strand(std::move(its_strand)) {}
+    /// `spin`: as Spinner's.
+    Reader(asio::any_io_executor its_strand, Duration spin) : strand(std::move(its_strand)), spin_(spin) {}
 
     /// What runs the connections' operations. Held by whoever has some.
     asio::io_context io{1};
@@ -58,7 +61,7 @@ class Reader {
     void start() {
         thread_ = std::thread([this] {
             ::pthread_setname_np(::pthread_self(), "axon-direct");
-            io.run();
+            run();
         });
     }
     /// Once every connection has ended, so that nothing more comes.
@@ -77,6 +80,20 @@ class Reader {
     }
 
   private:
+    void run() {
+        direct::lane::Spinner spinner(spin_);
+        if (!spinner.spins()) {
+            io.run();
+            return;
+        }
+        for (;;) {
+            if (spinner.spin([this] { return io.poll() > 0; })) continue;
+            if (io.run_one() == 0) return;
+            spinner.came();
+        }
+    }
+
+    const Duration spin_;
     asio::executor_work_guard<asio::io_context::executor_type> work_{io.get_executor()};
     std::thread thread_;
 };
@@ -213,11 +230,12 @@ class DataDoor::Connection final : public DirectLane,
 class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
   public:
     Connections(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
-                std::string its_entity, const Clock& clock, std::weak_ptr<DirectEvents> its_events)
+                std::string its_entity, Duration spin, const Clock& clock,
+                std::weak_ptr<DirectEvents> its_events)
         : entity(std::move(its_entity)),
           events(std::move(its_events)),
           clock_(clock),
-          thread_(std::make_shared<Reader>(strand)),
+          thread_(std::make_shared<Reader>(strand, spin)),
           acceptor_(thread_->io, tcp::endpoint(asio::ip::make_address(address), port)),
           timer_(strand, clock) {}
 
@@ -398,9 +416,9 @@ std::shared_ptr<DirectLane> DataDoor::Connection::admit(const Sender& sender, co
 }
 
 DataDoor::DataDoor(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
-                   std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
-    : connections_(
-          std::make_shared<Connections>(strand, address, port, std::move(entity), clock, std::move(events))) {
+                   std::string entity, Duration spin, const Clock& clock, std::weak_ptr<DirectEvents> events)
+    : connections_(std::make_shared<Connections>(strand, address, port, std::move(entity), spin, clock,
+                                                 std::move(events))) {
     connections_->start();
 }
 

@@ -22,9 +22,9 @@ namespace axon::entity_manager {
 /// listen.
 class DataDoor {
   public:
-    /// `port` 0: a free one.
+    /// `port` 0: a free one. `spin`: how long its thread may spin before it sleeps (direct::lane::Spinner).
     DataDoor(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
-             std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events);
+             std::string entity, Duration spin, const Clock& clock, std::weak_ptr<DirectEvents> events);
     ~DataDoor();
     DataDoor(const DataDoor&) = delete;
     DataDoor& operator=(const DataDoor&) = delete;

@@ -64,6 +64,7 @@ struct Events final : DirectEvents {
         EXPECT_EQ(head.entity, "the entity");
         came.push_back(head.sequence);
         data += keeping == Keeping::Droppable ? 1 : 0;
+        if (echoes) lane->send(keeping, head, std::make_shared<const std::string>(bytes));
         if (came.size() % 3 == 0) {  // who holds a message back takes it
             const auto taken = std::move(head);
             const auto taken_bytes = std::move(bytes);
@@ -93,13 +94,14 @@ struct Events final : DirectEvents {
     std::vector<std::string> closed;
     std::size_t room = 1'000'000;
     int openings = 0, data = 0;
-    bool answers = true;
+    bool answers = true, echoes = false;
     DirectOpening pending;
     std::shared_ptr<DirectLane> lane;
     std::atomic<int> turns{0};
 };
 
-class DataDoorTest : public ::testing::Test {
+/// With a thread that spins, and with one that does not.
+class DataDoorTest : public ::testing::TestWithParam<std::chrono::microseconds> {
   protected:
     ~DataDoorTest() override {
         onStrand([&] { door.shut(); });
@@ -144,11 +146,11 @@ class DataDoorTest : public ::testing::Test {
     asio::thread_pool executor{1};
     asio::strand<asio::any_io_executor> strand{executor.get_executor()};
     std::shared_ptr<Events> events = std::make_shared<Events>();
-    DataDoor door{strand, "127.0.0.1", 0, "the entity", clock, events};
+    DataDoor door{strand, "127.0.0.1", 0, "the entity", GetParam(), clock, events};
     const std::string endpoint = "127.0.0.1:" + std::to_string(door.port());
 };
 
-TEST_F(DataDoorTest, MessagesOfAHolderComeInOrderAndThoseToItGoOut) {
+TEST_P(DataDoorTest, MessagesOfAHolderComeInOrderAndThoseToItGoOut) {
     const auto its = holder();
     EXPECT_TRUE(direct::proves(its->proof, its->claim, direct::Prover::EntityManager, kKey));
     for (std::int64_t i = 1; i <= 1000; ++i)
@@ -167,7 +169,7 @@ TEST_F(DataDoorTest, MessagesOfAHolderComeInOrderAndThoseToItGoOut) {
     EXPECT_EQ(direct::lane::messageIn(frame).value().content, "to the client");
 }
 
-TEST_F(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
+TEST_P(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
     events->room = 100;
     const auto its = holder();
     for (std::int64_t i = 1; i <= 500; ++i) send(*its, i);
@@ -184,7 +186,7 @@ TEST_F(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
     EXPECT_TRUE(inOrder());
 }
 
-TEST_F(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {
+TEST_P(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {
     events->answers = false;
     const auto its = knock();
     its->awaitNonce();
@@ -202,7 +204,7 @@ TEST_F(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {
     ASSERT_TRUE(waitUntil([&] { return events->count() == 3; }));
 }
 
-TEST_F(DataDoorTest, WhoHasGoneWhileTheClaimWasJudgedHasNoPath) {
+TEST_P(DataDoorTest, WhoHasGoneWhileTheClaimWasJudgedHasNoPath) {
     events->answers = false;
     {
         const auto its = knock();
@@ -217,7 +219,7 @@ TEST_F(DataDoorTest, WhoHasGoneWhileTheClaimWasJudgedHasNoPath) {
     ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; })) << "and whoever thinks so is told";
 }
 
-TEST_F(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
+TEST_P(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
     using direct::lane::frameOf;
     using direct::lane::Kind;
     for (const auto& said :
@@ -237,7 +239,7 @@ TEST_F(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
     EXPECT_EQ(events->ends(), 0U) << "no path has ended";
 }
 
-TEST_F(DataDoorTest, AClaimMayComeByteByByte) {
+TEST_P(DataDoorTest, AClaimMayComeByteByByte) {
     const auto its = knock();
     its->awaitNonce();
     for (const char byte : its->claimFrame(direct::proofOf(its->claim, direct::Prover::Client, kKey)))
@@ -245,7 +247,7 @@ TEST_F(DataDoorTest, AClaimMayComeByteByByte) {
     EXPECT_EQ(its->awaitAnswer(), RefusalCode::Ok);
 }
 
-TEST_F(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
+TEST_P(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
     const auto its = holder();
     std::vector<std::unique_ptr<LaneStranger>> silent;
     for (int i = 0; i < 70; ++i) silent.push_back(knock());
@@ -265,7 +267,7 @@ TEST_F(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
     EXPECT_TRUE(waitUntil([&] { return events->count() == 1; })) << "who has a path is not meant";
 }
 
-TEST_F(DataDoorTest, ImproperFramesEndThePath) {
+TEST_P(DataDoorTest, ImproperFramesEndThePath) {
     const std::string too_long("\x7f\0\0\0\5", 5);
     std::size_t ended = 0;
     for (const auto& wrong : {direct::lane::frameOf(direct::lane::Kind::Claim, std::string(76, 'c')),
@@ -280,7 +282,7 @@ TEST_F(DataDoorTest, ImproperFramesEndThePath) {
     }
 }
 
-TEST_F(DataDoorTest, WhoDoesNotReadIsDisconnectedAndWhoReadsLateGetsEverything) {
+TEST_P(DataDoorTest, WhoDoesNotReadIsDisconnectedAndWhoReadsLateGetsEverything) {
     const auto content = std::make_shared<const std::string>(1'000'000, 'x');
     const auto flood = [&](int messages) {
         onStrand([&] {
@@ -302,7 +304,7 @@ TEST_F(DataDoorTest, WhoDoesNotReadIsDisconnectedAndWhoReadsLateGetsEverything) 
     EXPECT_EQ(events->closed.back(), "it does not read its messages");
 }
 
-TEST_F(DataDoorTest, AfterItIsShutNobodyIsThere) {
+TEST_P(DataDoorTest, AfterItIsShutNobodyIsThere) {
     const auto its = holder();
     const auto stranger = knock();
     stranger->awaitNonce();
@@ -311,6 +313,22 @@ TEST_F(DataDoorTest, AfterItIsShutNobodyIsThere) {
     EXPECT_TRUE(stranger->awaitClosed());
     EXPECT_EQ(events->ends(), 1U);
 }
+
+TEST_P(DataDoorTest, MessagesInQuickSuccessionAreAnsweredOneByOne) {
+    const auto its = holder();
+    {
+        const std::lock_guard lock(events->mutex);
+        events->echoes = true;
+    }
+    for (std::int64_t i = 1; i <= 2000; ++i) {
+        send(*its, i);
+        ASSERT_EQ(direct::lane::messageIn(its->awaitFrame().value()).value().sequence, i);
+    }
+    EXPECT_TRUE(inOrder());
+}
+
+INSTANTIATE_TEST_SUITE_P(Thread, DataDoorTest, ::testing::Values(0us, 50us),
+                         [](const auto& one) { return one.param == 0us ? "Sleeping" : "Spinning"; });
 
 }  // namespace
 }  // namespace axon::entity_manager

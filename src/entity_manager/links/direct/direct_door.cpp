@@ -291,11 +291,11 @@ auto listenAtOneOf(const std::string& address, DirectPorts ports, Listen listen)
 }  // namespace
 
 DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice,
-                       const std::string& address, DirectPorts ports, const std::string& entity,
-                       const Clock& clock, const std::weak_ptr<DirectEvents>& events)
+                       const std::string& address, const DirectSettings& settings,
+                       const std::string& entity, const Clock& clock, const std::weak_ptr<DirectEvents>& events)
     : signal_door_(std::make_unique<SignalDoor>()) {
-    data_door_ = listenAtOneOf(address, ports, [&](std::uint16_t port) {
-        return std::make_unique<DataDoor>(strand, address, port, entity, clock, events);
+    data_door_ = listenAtOneOf(address, settings.ports, [&](std::uint16_t port) {
+        return std::make_unique<DataDoor>(strand, address, port, entity, settings.spin, clock, events);
     });
     const auto taken = data_door_->port();
     data_ = address + ":" + std::to_string(taken);
@@ -304,7 +304,7 @@ DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators&
         // another address.
         const auto name = "Direct-" + Ice::generateUUID();
         auto& adapter = signal_door_->adapter;
-        adapter = listenAtOneOf(address, ports, [&](std::uint16_t port) {
+        adapter = listenAtOneOf(address, settings.ports, [&](std::uint16_t port) {
             if (port == taken) throw std::runtime_error("that of data");
             return transport::listen(*ice.signal(), name, "tcp -h " + address + " -p " + std::to_string(port),
                                      0, transport::Idle::Watched);
@@ -348,8 +348,8 @@ std::pair<std::string, std::string> DirectDoors::listen(const std::string& way_t
     if (listens_at_ != address) {
         shut();
         try {
-            doors_.push_back(std::make_unique<DirectDoor>(strand_, *ice_, address, settings_.ports, entity_,
-                                                          clock_, events_));
+            doors_.push_back(std::make_unique<DirectDoor>(strand_, *ice_, address, settings_, entity_, clock_,
+                                                          events_));
         } catch (const std::runtime_error& error) {
             spdlog::warn(
                 "clients are not offered a direct path: {} (expected an address of this machine and two free "

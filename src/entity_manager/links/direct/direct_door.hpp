@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/clock.hpp"
+#include "direct/lane/spin.hpp"
 #include "entity_manager/links/direct/data_door.hpp"
 #include "entity_manager/ports/direct_lane.hpp"
 
@@ -26,6 +27,7 @@ struct DirectSettings {
     bool offered = false;
     std::string address;  ///< to listen at; empty: the one that leads to the server
     DirectPorts ports;
+    Duration spin = direct::lane::kSpinMost;  ///< of the thread that reads data (Axon.Direct.Spin); 0: none
     /// What clients are told to call instead of "host:port" where it listens: a test puts a relay there.
     /// Empty: as it listens.
     std::function<std::string(const std::string& endpoint)> named = {};
@@ -42,7 +44,7 @@ struct DirectSettings {
 class DirectDoor {
   public:
     DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice, const std::string& address,
-               DirectPorts ports, const std::string& entity, const Clock& clock,
+               const DirectSettings& settings, const std::string& entity, const Clock& clock,
                const std::weak_ptr<DirectEvents>& events);
     ~DirectDoor();
     DirectDoor(const DirectDoor&) = delete;
