@@ -267,8 +267,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     options.datagrams = read("Axon.Datagrams", "on", datagramsOf);
     options.direct = read("Axon.Direct", "on", directOf);
     options.direct.spin = std::chrono::microseconds(integer(
-        "Axon.Direct.Spin", std::to_string(direct::lane::kSpinMost.count()).c_str(), 0,
-        direct::lane::kSpinMost.count()));
+        "Axon.Direct.Spin", "0", 0, direct::lane::kSpinMost.count()));
     options.lock_memory = integer("Axon.LockMemory", "1", 0, 1) != 0;
     options.core.lease_grace = read(
         "Axon.LeaseGrace", "5",

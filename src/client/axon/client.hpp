@@ -50,7 +50,7 @@ struct Options {
     /// The longest time, up to 50 µs, for which the thread that reads direct paths looks for the next message
     /// before it sleeps. 0 = none. It does so while messages come in quick succession, and not if the process
     /// may use only one core (docs/reference/direct.md, "Spinning").
-    std::chrono::microseconds direct_spin{50};
+    std::chrono::microseconds direct_spin{0};
     /// If set, the library calls it before each heartbeat while a task runs, on its heartbeat thread. Return
     /// false to suppress the heartbeat: a program whose socket is alive can still have lost its operator.
     std::function<bool()> keep_running;

@@ -27,7 +27,7 @@ struct DirectSettings {
     bool offered = false;
     std::string address;  ///< to listen at; empty: the one that leads to the server
     DirectPorts ports;
-    Duration spin = direct::lane::kSpinMost;  ///< of the thread that reads data (Axon.Direct.Spin); 0: none
+    Duration spin{};  ///< of the thread that reads data, at most kSpinMost (Axon.Direct.Spin); 0: none
     /// What clients are told to call instead of "host:port" where it listens: a test puts a relay there.
     /// Empty: as it listens.
     std::function<std::string(const std::string& endpoint)> named = {};
