@@ -22,8 +22,8 @@ inline constexpr bool hasRobots(Variant variant) {
     return variant == Variant::Robots || variant == Variant::DirectRobots;
 }
 
-/// How long the threads that read direct paths may spin, in this process and in its children that begin later.
-/// Until it is set, that of the library.
+/// How long the threads that read direct paths may spin, in this process and in its children that begin
+/// later. Until it is set, that of the library.
 void setDirectSpin(std::chrono::microseconds longest);
 std::chrono::microseconds directSpin();
 

@@ -597,10 +597,11 @@ Experiment declarePeers(CLI::App& app) {
         ->check(CLI::Range(0, 1000).description(""))
         ->type_name("COUNT");
     command
-        ->add_option("--direct-spin", wish->spin,
-                     "How long the threads that read direct paths may spin before they sleep, at both ends, in "
-                     "microseconds; 0 = not [" +
-                         std::to_string(wish->spin) + "]")
+        ->add_option(
+            "--direct-spin", wish->spin,
+            "How long the threads that read direct paths may spin before they sleep, at both ends, in "
+            "microseconds; 0 = not [" +
+                std::to_string(wish->spin) + "]")
         ->check(CLI::Range(0, 50).description(""))
         ->type_name("US");
     command

@@ -15,6 +15,7 @@
 #include "direct/proof.hpp"
 #include "support/lane_stranger.hpp"
 #include "support/loopback.hpp"
+#include "support/tcp_silence.hpp"
 #include "support/tcp_valve.hpp"
 
 namespace axon {
@@ -37,6 +38,7 @@ class DirectPathTest : public test::WithManager {
         direct.offered = offered;
         if (with_valves) {
             direct.named = [this](const std::string& endpoint) {
+                listens_at_.push_back(endpoint);
                 valves_.push_back(std::make_unique<TcpValve>(endpoint));
                 return valves_.back()->address();
             };
@@ -68,6 +70,7 @@ class DirectPathTest : public test::WithManager {
     }
 
     entity_manager::EntityManagerCoreSettings core_;  // of the Entity Manager
+    std::vector<std::string> listens_at_;             // the Entity Manager, behind the valves
     std::vector<std::unique_ptr<TcpValve>> valves_;
 };
 
@@ -265,6 +268,37 @@ TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt)
         ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     }
     EXPECT_EQ(seen_.count(), 1U);
+}
+
+// The signal lane beats on, and neither end of the data lane is told anything. Only the kernel's half minute,
+// which is shortened here, ends the path.
+TEST_F(DirectPathTest, SilenceOfTheDataLaneAloneEndsThePathAndEverythingIsRelayed) {
+    startManager();
+    const auto held = take();
+    std::atomic<int> heard{0};
+    held.onText([&](const std::string&) { ++heard; });
+    for (const bool to_robot : {true, false}) {
+        ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+        const auto valve = valves_.at(0)->address(), manager = listens_at_.at(0);
+        const int sender = to_robot ? test::socketBetween("", valve) : test::socketBetween(manager, "");
+        const int receiver = to_robot ? test::socketBetween(valve, "") : test::socketBetween("", manager);
+        ASSERT_TRUE(test::losePatienceAfter(sender, 100ms));
+        ASSERT_TRUE(test::deafen(receiver));
+        const auto signals = valves_.at(1)->bytes();
+        for (int i = 0; i < 3; ++i) {
+            if (to_robot) {
+                send(held, "client to robot");
+            } else {
+                robot_->text("robot to client");
+            }
+        }
+        const auto come = [&] { return to_robot ? seen_.count() == 3 : heard == 3; };
+        ASSERT_TRUE(waitUntil(come)) << "through the servers";
+        EXPECT_GT(valves_.at(1)->bytes(), signals) << "the signal lane lives";
+    }
+    ASSERT_TRUE(waitUntil([&] { return direct(held); })) << "another path";
+    EXPECT_EQ(seen_.count(), 3U);
+    EXPECT_EQ(heard, 3);
 }
 
 TEST_F(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSilent) {

@@ -17,6 +17,7 @@
 #include "direct/lane/frames.hpp"
 #include "direct/lane/opening.hpp"
 #include "direct/proof.hpp"
+#include "support/tcp_silence.hpp"
 
 namespace axon::test {
 
@@ -99,6 +100,10 @@ class LaneStranger {
     }
     /// Says no more; the other side then closes the connection when it has read everything.
     void finish() { ::shutdown(socket_.get(), SHUT_WR); }
+    /// Of this end, "a.b.c.d:port".
+    std::string address() const { return endpointOf(socket_.get(), ::getsockname); }
+    /// Without an end of the connection. Whether that could be done.
+    bool fallSilent() { return deafen(socket_.get()); }
     /// Whether the other side has closed the connection by now; what it has said is forgotten.
     bool isClosed() {
         std::array<char, 4096> bytes{};

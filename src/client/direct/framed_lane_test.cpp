@@ -16,6 +16,7 @@
 
 #include "direct/lane/frames.hpp"
 #include "support/loopback.hpp"
+#include "support/tcp_silence.hpp"
 
 namespace axon::client {
 namespace {
@@ -371,6 +372,61 @@ TEST_P(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
     say(manager, ManagerOpening(Id128::random(random)).greeting());
     ASSERT_TRUE(waitUntil([&] { return later->over.load(); }));
     EXPECT_EQ(later->reason, "no answer in time");
+}
+
+// That of the other reader: the blocked one looks at no deadline.
+TEST_P(FramedLaneTest, ADeadlineOfOneLanePassesWhileACallbackOfAnotherDoesNotReturn) {
+    const auto blocked = std::make_shared<Path>(), before = std::make_shared<Path>(),
+               after = std::make_shared<Path>(), answered = std::make_shared<Path>();
+    Barrier barrier;
+    blocked->on_read = [&, first = std::make_shared<std::atomic<bool>>(true)] {
+        if (blocked->count() > 0 && first->exchange(false)) barrier.pass();
+    };
+    const auto first = begin(blocked);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return blocked->open.load(); }));
+    const auto second = begin(before, 200ms);
+    const auto silent = accept();
+    say(manager, message(1));
+    ASSERT_TRUE(waitUntil([&] { return barrier.taken(); }));
+    const auto third = begin(after, 50ms);
+    const auto silent_too = accept();
+    ASSERT_TRUE(waitUntil([&] { return after->over && before->over; }));
+    // Between the two deadlines of an opening, too: the one that a thread waits for is no longer the next.
+    const auto fourth = begin(answered, 100ms);
+    const auto half = accept();
+    say(half, ManagerOpening(Id128::random(random)).greeting());
+    ASSERT_TRUE(waitUntil([&] { return answered->over.load(); }));
+    for (const auto& path : {before, after, answered}) {
+        const std::lock_guard lock(path->mutex);
+        EXPECT_EQ(path->reason, "no answer in time");
+    }
+    EXPECT_FALSE(blocked->over);
+    barrier.letGo();
+}
+
+// Nothing ends such a connection but the kernel, whose half minute is shortened here. The signal lane, which
+// may live on, is not asked.
+TEST_P(FramedLaneTest, AnEndThatTakesNoBytesOrHearsNothingIsGivenUpByTheKernel) {
+    for (const bool deaf : {false, true}) {
+        const auto path = std::make_shared<Path>();
+        const auto lane = begin(path);
+        const auto manager = admit();
+        ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+        ASSERT_TRUE(test::losePatienceAfter(lane->descriptor(), 100ms));
+        if (deaf) {
+            ASSERT_TRUE(test::deafen(manager.get()));
+        }
+        const auto content = std::make_shared<const std::string>(deaf ? 100 : 1'000'000, 'x');
+        for (std::int64_t i = 1; i <= 8; ++i) {  // more than the sockets take, less than may wait
+            Header head;
+            head.sequence = i;
+            lane->send(Keeping::Kept, head, content);
+        }
+        ASSERT_TRUE(waitUntil([&] { return path->over.load(); })) << deaf;
+        const std::lock_guard lock(path->mutex);
+        EXPECT_EQ(path->reason.find("the connection was lost"), 0U) << path->reason;
+    }
 }
 
 TEST_P(FramedLaneTest, WhateverElseAnswersEndsIt) {

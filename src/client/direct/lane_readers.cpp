@@ -47,8 +47,7 @@ bool LaneReaders::start() {
     Descriptor sleepers;
     if (Spinner(spin_).spins()) {
         sleepers = Descriptor(::epoll_create1(EPOLL_CLOEXEC));
-        if (!sleepers.open() ||
-            !watch(sleepers.get(), EPOLL_CTL_ADD, set.get(), kAnyLane, kLanes))
+        if (!sleepers.open() || !watch(sleepers.get(), EPOLL_CTL_ADD, set.get(), kAnyLane, kLanes))
             return false;
     }
     if (!watch((sleepers.open() ? sleepers : set).get(), EPOLL_CTL_ADD, wake_->fd(), EPOLLIN, kWake))
@@ -160,8 +159,8 @@ void LaneReaders::tellOverdue() {
     for (const auto& lane : overdue) lane->overdue();
 }
 
-/// While this thread looks at the lanes itself, the other one is not to be woken for them. When that ends, the
-/// kernel looks whether there is something left.
+/// While this thread looks at the lanes itself, the other one is not to be woken for them. When that ends,
+/// the kernel looks whether there is something left.
 void LaneReaders::wakeSleepers(bool whether) const {
     watch(sleepers_.get(), EPOLL_CTL_MOD, epoll_.get(), whether ? kAnyLane : 0, kLanes);
 }
@@ -176,7 +175,8 @@ int LaneReaders::takeOne(epoll_event& event) {
     return std::min(count, 1);
 }
 
-/// One at a time: what else is ready is the other thread's while this one is inside a callback. As epoll_wait.
+/// One at a time: what else is ready is the other thread's while this one is inside a callback. As
+/// epoll_wait.
 int LaneReaders::await(Spinner& spinner, epoll_event& event) {
     if (!sleepers_.open()) return ::epoll_wait(epoll_.get(), &event, 1, timeout());
     int count = 0;

@@ -36,8 +36,7 @@ class SpinBudget {
     Duration begin(TimePoint now) {
         if (began_ != TimePoint{}) earn((now - began_) / kShare);
         began_ = now;
-        const bool spins =
-            longest_ > Duration{} && last_wait_ <= kNear * longest_ && allowance_ >= longest_;
+        const bool spins = longest_ > Duration{} && last_wait_ <= kNear * longest_ && allowance_ >= longest_;
         return spins ? longest_ : Duration{};
     }
     /// The spin has brought something, and the wait is over.
@@ -68,8 +67,8 @@ class SpinBudget {
 ///         spinner.came();
 ///     }
 ///
-/// Time is that of CLOCK_MONOTONIC, also where the rest of Axon counts that of a virtual laboratory; tests have
-/// another clock. Threads: the one that made it.
+/// Time is that of CLOCK_MONOTONIC, also where the rest of Axon counts that of a virtual laboratory; tests
+/// have another clock. Threads: the one that made it.
 class Spinner {
   public:
     explicit Spinner(Duration longest, const Clock& clock = steady())

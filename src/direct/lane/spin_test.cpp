@@ -130,7 +130,8 @@ TEST(SpinBudget, InVainIsNeverMoreThanItsShareAndWhatHelped) {
                 waiter.wait(kind == 0 ? 5us : kind == 1 ? 49us : kind == 2 ? 51us : 300us);
             }
             const auto passed = waiter.clock.now() - start;
-            ASSERT_LE(waiter.in_vain, 4 * kLongest + passed / 200 + waiter.useful) << period << ' ' << pattern;
+            ASSERT_LE(waiter.in_vain, 4 * kLongest + passed / 200 + waiter.useful)
+                << period << ' ' << pattern;
         }
 }
 

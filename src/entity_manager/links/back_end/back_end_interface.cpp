@@ -28,6 +28,7 @@
 #include "common/descriptor.hpp"
 #include "common/frame.hpp"
 #include "common/liveness.hpp"
+#include "common/message_frame.hpp"
 #include "common/snapshot.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 
@@ -68,7 +69,7 @@ class SignalSocket {
     /// Whole and at once, or the connection ends, which stops the robot as well.
     void write(const proto::EmToEi& message) const {
         std::string frame;
-        appendFrame(frame, message.SerializeAsString());
+        appendFrameOf(frame, message);
         const auto sent = ::send(socket_.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
         if (sent != static_cast<ssize_t>(frame.size())) cut();
     }
@@ -117,7 +118,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         const auto peer = peer_;
         if (!peer) return true;
         std::string frame;
-        if (!appendFrame(frame, message.SerializeAsString())) {
+        if (!appendFrameOf(frame, message)) {
             refused({RefusalCode::TooLarge,
                      "a message to the robot application exceeds 1 MiB: send less at once",
                      {}});
@@ -195,8 +196,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
               data_reader(std::move(from_data)) {}
         tcp::socket signal, data;
         FrameReader signal_reader, data_reader;
-        std::array<char, 4096> signal_bytes;
-        std::array<char, 64 * 1024> data_bytes;
         struct Queued {
             std::string frame;
             bool raw;
@@ -310,7 +309,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         hello.set_manager(settings_.manager);
         hello.set_watchdog_busy_ms(static_cast<std::uint32_t>(settings_.watchdog_busy.count()));
         hello.set_watchdog_idle_ms(static_cast<std::uint32_t>(settings_.watchdog_idle.count()));
-        appendFrame(handshake->hello, message.SerializeAsString());
+        appendFrameOf(handshake->hello, message);
         handshakes_.insert(handshake);
         handshake->nonce = nonce;
         handshake->deadline.expires_after(kHelloTime);
@@ -442,20 +441,21 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         signal_.store(duplicate);
         onBeatTimer();
         const auto peer = peer_;
+        events_.onLinkUp();
+        // What came in one piece with the answers. Then the reads, which put bytes into the same readers.
+        if (!deliver(peer, peer->signal_reader, true) || !deliver(peer, peer->data_reader, false)) return;
         readSignal(peer);
         readData(peer);
-        events_.onLinkUp();
-        // What came in one piece with the answers.
-        if (deliver(peer, peer->signal_reader, true)) deliver(peer, peer->data_reader, false);
     }
 
     void readSignal(const std::shared_ptr<Peer>& peer) {
+        const auto room = peer->signal_reader.room();
         peer->signal.async_read_some(
-            asio::buffer(peer->signal_bytes),
+            asio::buffer(room.data(), room.size()),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
                 if (error) return self->ended(peer, peer->signal_ended);
-                peer->signal_reader.feed({peer->signal_bytes.data(), count});
+                peer->signal_reader.filled(count);
                 if (self->deliver(peer, peer->signal_reader, true)) self->readSignal(peer);
             });
     }
@@ -481,22 +481,24 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void readData(const std::shared_ptr<Peer>& peer) {
+        const auto room = peer->data_reader.room();
         peer->data.async_read_some(
-            asio::buffer(peer->data_bytes),
+            asio::buffer(room.data(), room.size()),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
                 if (error) return self->ended(peer, peer->data_ended);
-                peer->data_reader.feed({peer->data_bytes.data(), count});
+                peer->data_reader.filled(count);
                 if (self->deliver(peer, peer->data_reader, false)) self->readData(peer);
             });
     }
 
     /// False when the link has ended meanwhile.
     bool deliver(const std::shared_ptr<Peer>& peer, FrameReader& reader, bool signal) {
-        std::string payload;
-        while (peer_ == peer && reader.next(payload)) {
+        while (peer_ == peer) {
+            const auto payload = reader.nextView();
+            if (!payload) break;
             proto::EiToEm message;
-            const bool parsed = message.ParseFromString(payload);
+            const bool parsed = message.ParseFromArray(payload->data(), static_cast<int>(payload->size()));
             const bool is_signal = message.has_beat() || message.has_stop_done() || message.has_end();
             if (!parsed || message.has_welcome() ||
                 (is_signal != signal && message.body_case() != proto::EiToEm::BODY_NOT_SET)) {
@@ -536,7 +538,11 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 auto& next = peer->queued.front();
                 peer->queued_bytes -= next.frame.size();
                 if (next.raw) --peer->queued_raw;
-                peer->writing += next.frame;
+                if (peer->writing.empty()) {
+                    peer->writing.swap(next.frame);
+                } else {
+                    peer->writing += next.frame;
+                }
                 peer->queued.pop_front();
             } while (!peer->queued.empty() &&
                      peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);

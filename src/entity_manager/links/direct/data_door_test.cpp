@@ -15,6 +15,8 @@
 
 #include "support/lane_stranger.hpp"
 #include "support/loopback.hpp"
+#include "support/moved_clock.hpp"
+#include "support/tcp_silence.hpp"
 
 namespace axon::entity_manager {
 namespace {
@@ -25,19 +27,6 @@ using test::LaneStranger;
 using test::waitUntil;
 
 const std::string kKey = "0123456789abcdef";
-
-/// Stands still until it is moved, and lets nobody who waits for it sleep for long.
-class Moved final : public Clock {
-  public:
-    TimePoint now() const override { return TimePoint{1000s} + Duration{by_.load()}; }
-    Duration realTimeUntil(TimePoint deadline) const override {
-        return std::min<Duration>(deadline - now(), 1ms);
-    }
-    void advance(Duration by) { by_ += by.count(); }
-
-  private:
-    std::atomic<Duration::rep> by_{0};
-};
 
 /// Admits whoever has the key; takes messages while there is room.
 struct Events final : DirectEvents {
@@ -142,7 +131,7 @@ class DataDoorTest : public ::testing::TestWithParam<std::chrono::microseconds> 
     }
 
     SeededRandom random{1};
-    Moved clock;
+    test::MovedClock clock;
     asio::thread_pool executor{1};
     asio::strand<asio::any_io_executor> strand{executor.get_executor()};
     std::shared_ptr<Events> events = std::make_shared<Events>();
@@ -184,6 +173,40 @@ TEST_P(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
         ASSERT_TRUE(waitUntil([&] { return events->count() == room; }));
     }
     EXPECT_TRUE(inOrder());
+}
+
+TEST_P(DataDoorTest, WhoFindsNoRoomIsDisconnectedWhenTheDoorIsShutAndNothingOfItComesAnyMore) {
+    events->room = 100;
+    const auto its = holder();
+    for (std::int64_t i = 1; i <= 500; ++i) send(*its, i);
+    ASSERT_TRUE(waitUntil([&] { return events->count() == 100; }));
+    onStrand([&] {
+        events->room = 1'000'000;
+        door.shut();
+        door.roomAgain();  // it is late
+    });
+    EXPECT_TRUE(its->awaitClosed());
+    onStrand([] {});
+    EXPECT_EQ(events->count(), 100U);
+    EXPECT_EQ(events->ends(), 1U);
+}
+
+TEST_P(DataDoorTest, AHolderWhoHearsNothingIsGivenUpByTheKernel) {
+    const auto its = holder();
+    const int here = test::socketBetween(endpoint, its->address());
+    ASSERT_GE(here, 0);
+    unsigned patience = 0;
+    socklen_t size = sizeof patience;
+    ::getsockopt(here, IPPROTO_TCP, TCP_USER_TIMEOUT, &patience, &size);
+    EXPECT_EQ(patience, 30'000U);
+    ASSERT_TRUE(test::losePatienceAfter(here, 100ms));
+    ASSERT_TRUE(its->fallSilent());
+    onStrand([&] {
+        Header head;
+        head.sequence = 1;
+        events->lane->send(Keeping::Kept, head, std::make_shared<const std::string>("to nobody"));
+    });
+    ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; }));
 }
 
 TEST_P(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {

@@ -291,8 +291,8 @@ auto listenAtOneOf(const std::string& address, DirectPorts ports, Listen listen)
 }  // namespace
 
 DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice,
-                       const std::string& address, const DirectSettings& settings,
-                       const std::string& entity, const Clock& clock, const std::weak_ptr<DirectEvents>& events)
+                       const std::string& address, const DirectSettings& settings, const std::string& entity,
+                       const Clock& clock, const std::weak_ptr<DirectEvents>& events)
     : signal_door_(std::make_unique<SignalDoor>()) {
     data_door_ = listenAtOneOf(address, settings.ports, [&](std::uint16_t port) {
         return std::make_unique<DataDoor>(strand, address, port, entity, settings.spin, clock, events);
@@ -348,8 +348,8 @@ std::pair<std::string, std::string> DirectDoors::listen(const std::string& way_t
     if (listens_at_ != address) {
         shut();
         try {
-            doors_.push_back(std::make_unique<DirectDoor>(strand_, *ice_, address, settings_, entity_, clock_,
-                                                          events_));
+            doors_.push_back(
+                std::make_unique<DirectDoor>(strand_, *ice_, address, settings_, entity_, clock_, events_));
         } catch (const std::runtime_error& error) {
             spdlog::warn(
                 "clients are not offered a direct path: {} (expected an address of this machine and two free "
