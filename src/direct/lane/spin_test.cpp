@@ -83,8 +83,8 @@ TEST(SpinBudget, WhereItBringsNothingItTakesHalfAPercentOfTheTime) {
         Waiter waiter;
         waiter.waitFor(10s, shares_core ? 8us : 70us, shares_core);
         EXPECT_EQ(waiter.useful, 0us);
-        EXPECT_LE(waiter.in_vain, 4 * kLongest + 10s / 200);
-        EXPECT_GE(waiter.in_vain, 10s / 250) << "it does not try again";
+        EXPECT_LE(waiter.in_vain, 4 * kLongest + Duration{10s} / 200);
+        EXPECT_GE(waiter.in_vain, Duration{10s} / 250) << "it does not try again";
     }
 }
 
