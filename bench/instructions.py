@@ -34,8 +34,11 @@ BYTES = 60
 NAME = "Counted"
 BASIC = f'<BasicProfile name="{NAME}" category="MACHINE" type="STATIONARY" xpos="0" ypos="0" zpos="0"/>'
 SERVICES = '<ServiceProfile count="1"><Service name="Nothing" type="SMPL" global_id="nothing"/></ServiceProfile>'
+# A program is silent for some time while callgrind writes what it has counted.
+MANAGER = "Axon.LinkWatchdogIdleMs = 10000\nAxon.WatchdogIdleMs = 60000\n"
 STATIONS = ("client", "server", "manager", "application")
 START_SECONDS = 90
+SEND_SECONDS = 180
 IDLE_SECONDS = 4
 WARM_UP = 200
 
@@ -50,7 +53,7 @@ class Counted(Process):
 
     def counted(self):
         """(instructions since the last call, the file that says where)."""
-        subprocess.run(["callgrind_control", "-d", str(self.child.pid)], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(["callgrind_control", "-d", str(self.child.pid)], check=True, stdout=subprocess.DEVNULL, timeout=60)
         self.dumps += 1
         file = pathlib.Path(f"{self.out}.{self.dumps}")
         end = time.monotonic() + 30
@@ -71,6 +74,7 @@ class Pair:
         self.processes = []
         (folder / "basic.xml").write_text(BASIC)
         (folder / "services.xml").write_text(SERVICES)
+        (folder / "manager.cfg").write_text(MANAGER)
         pipe = folder / "arrived"
         os.mkfifo(pipe)
         self.requests = folder / "requests"
@@ -80,8 +84,8 @@ class Pair:
                                                                   for word in (f"--{what}-endpoint", "127.0.0.1:0")))
         at = addresses(server.wait_for("ready ", START_SECONDS))
         self.start("application", programs / "axon-bench-pair", "application", NAME, port, pipe, folder)
-        self.start("manager", programs / "axon-entity-manager", "--application", NAME, "--ports", f"{port}-{port}", "--server", at["entity"],
-                   "--state", folder / "state")
+        self.start("manager", programs / "axon-entity-manager", "--application", NAME, "--ports", f"{port}-{port + 1}", "--server", at["entity"],
+                   "--config", folder / "manager.cfg", "--state", folder / "state")
         client = self.start("client", programs / "axon-bench-pair", "client", at["client"], NAME, way, pipe, self.requests)
         client.wait_for("ready", START_SECONDS)
         self.to_client = open(self.requests, "w")
@@ -98,7 +102,10 @@ class Pair:
         before = client.text().count("sent\n")
         self.to_client.write(f"{count} {together} {BYTES}\n")
         self.to_client.flush()
+        end = time.monotonic() + SEND_SECONDS
         while client.text().count("sent\n") == before:
+            if time.monotonic() > end:
+                raise Failed(f"not all of {count} messages have arrived within {SEND_SECONDS} s")
             if client.child.poll() is not None:
                 raise Failed(f"the client has ended:\n{client.text()[-800:]}")
             time.sleep(0.01)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // A client and a robot application that do nothing but pass messages, so that bench/instructions.py can count
-// what each station spends on one of them. The application writes a byte into a pipe for each message that its
-// callback was given, and the client reads it before it sends more: so no station ever has another message to
-// deal with than those that were asked for.
+// what each station spends on one of them. The application writes a byte into a pipe for each message that
+// its callback was given, and the client reads it before it sends more: so no station ever has another
+// message to deal with than those that were asked for.
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -97,8 +97,7 @@ int main(int argc, char** argv) {
         const std::string role = argc > 1 ? argv[1] : "";
         if (role == "application" && argc == 6)
             return runApplication(argv[2], static_cast<std::uint16_t>(std::stoi(argv[3])), argv[4], argv[5]);
-        if (role == "client" && argc == 7)
-            return runClient(argv[2], argv[3], argv[4], argv[5], argv[6]);
+        if (role == "client" && argc == 7) return runClient(argv[2], argv[3], argv[4], argv[5], argv[6]);
     } catch (const std::exception& problem) {
         std::cerr << "axon-bench-pair: " << problem.what() << "\n";
         return 1;
