@@ -58,6 +58,18 @@ constexpr Duration kLastWords = 50ms;
 constexpr std::size_t kPartingMax = 300;
 constexpr int kPriority = 6;  // SO_PRIORITY: the highest that needs no privilege
 
+/// Writes the message into `frame`. False, and `frame` is empty, where it is larger than a frame may be.
+bool putInFrame(const proto::EmToEi& message, std::string& frame) {
+    frame.clear();
+    const auto size = message.ByteSizeLong();
+    if (size == 0 || size > kFrameMax) return false;
+    appendNumber(frame, static_cast<std::uint32_t>(size));
+    const auto head = frame.size();
+    frame.resize(head + size);
+    message.SerializeWithCachedSizesToArray(reinterpret_cast<std::uint8_t*>(frame.data() + head));
+    return true;
+}
+
 /// The signal connection for those who may not wait for the strand. A duplicate descriptor, so that it
 /// outlives the strand's own for as long as somebody is writing. Threads: any; no lock: one small send(2) is
 /// atomic.
@@ -116,8 +128,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     bool send(const proto::EmToEi& message) {
         const auto peer = peer_;
         if (!peer) return true;
-        std::string frame;
-        if (!appendFrame(frame, message.SerializeAsString())) {
+        const bool idle = peer->writing.empty();  // nothing waits
+        std::string waits;
+        auto& frame = idle ? peer->writing : waits;
+        if (!putInFrame(message, frame)) {
             refused({RefusalCode::TooLarge,
                      "a message to the robot application exceeds 1 MiB: send less at once",
                      {}});
@@ -127,6 +141,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         if (message.has_task() && message.task().stop_generation() > announced_.load()) {
             announce(message.task().stop_generation());
             beat();
+        }
+        if (idle) {
+            writeNow(peer);
+            return true;
         }
         const auto full = [&] {
             return peer->queued_bytes + peer->writing.size() + frame.size() > kQueueBytes ||
@@ -149,7 +167,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         peer->queued_bytes += frame.size();
         if (message.has_raw()) ++peer->queued_raw;
         peer->queued.push_back({std::move(frame), message.has_raw()});
-        if (peer->writing.empty()) writeNext(peer);
         return true;
     }
     std::uint64_t rawDropped() const { return raw_dropped_; }
@@ -203,7 +220,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         };
         std::deque<Queued> queued;
         std::size_t queued_bytes = 0, queued_raw = 0;
-        std::string writing;
+        std::string writing;  // while it is empty, so is the queue
         bool signal_ended = false,
              data_ended = false;  // after one of them last words on the other are awaited
         std::string parting;      // why the application ends the link, in its own words
@@ -493,10 +510,11 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
 
     /// False when the link has ended meanwhile.
     bool deliver(const std::shared_ptr<Peer>& peer, FrameReader& reader, bool signal) {
-        std::string payload;
-        while (peer_ == peer && reader.next(payload)) {
-            proto::EiToEm message;
-            const bool parsed = message.ParseFromString(payload);
+        proto::EiToEm message;
+        while (peer_ == peer) {
+            const auto payload = reader.nextView();
+            if (!payload) break;
+            const bool parsed = message.ParseFromArray(payload->data(), static_cast<int>(payload->size()));
             const bool is_signal = message.has_beat() || message.has_stop_done() || message.has_end();
             if (!parsed || message.has_welcome() ||
                 (is_signal != signal && message.body_case() != proto::EiToEm::BODY_NOT_SET)) {
@@ -540,13 +558,21 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 peer->queued.pop_front();
             } while (!peer->queued.empty() &&
                      peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
-            // The end of an asynchronous write would be a turn of the strand, on another thread.
-            const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
-                                     MSG_DONTWAIT | MSG_NOSIGNAL);
-            if (sent != static_cast<ssize_t>(peer->writing.size()))
-                return writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
-            peer->writing.clear();
+            if (!writeNow(peer)) return;
         }
+    }
+
+    /// What is being written, as far as the socket takes it at once; whether that is all. The end of an
+    /// asynchronous write would be a turn of the strand, on another thread.
+    bool writeNow(const std::shared_ptr<Peer>& peer) {
+        const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
+                                 MSG_DONTWAIT | MSG_NOSIGNAL);
+        if (sent == static_cast<ssize_t>(peer->writing.size())) {
+            peer->writing.clear();
+            return true;
+        }
+        writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
+        return false;
     }
 
     /// When the socket takes it. A failure is told here, too: never from within send().
