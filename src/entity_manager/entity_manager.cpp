@@ -354,8 +354,8 @@ void EntityManager::onLinkSlow(const std::string& what) {
                  name_, what);
 }
 
-void EntityManager::onLinkMessage(proto::EiToEm& message) {
-    if (core_->onLinkMessage(std::move(message))) afterEvents();
+void EntityManager::onLinkMessage(const proto::EiToEm& message) {
+    if (core_->onLinkMessage(message)) afterEvents();
 }
 
 void EntityManager::wake(Inbox::Verdict verdict, RunOn where) {

@@ -108,7 +108,7 @@ class EntityManager final : public ServerEvents,
     // BackEndEvents, on the strand.
     void onLinkUp() override;
     void onLinkDown(const std::string& reason, LinkEnd end) override;
-    void onLinkMessage(proto::EiToEm& message) override;
+    void onLinkMessage(const proto::EiToEm& message) override;
     void onLinkRefused(const Refusal& refusal) override;
     void onLinkSought(const SearchReport& report) override;
     void onLinkSlow(const std::string& what) override;

@@ -135,7 +135,7 @@ class Manager : public BackEndEvents {
         down_end_ = end;
         downs++;
     }
-    void onLinkMessage(proto::EiToEm& message) override {
+    void onLinkMessage(const proto::EiToEm& message) override {
         {
             const std::lock_guard lock(mutex_);
             messages_.push_back(message);

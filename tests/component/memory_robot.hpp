@@ -126,8 +126,7 @@ class MemoryRobot final : public entity_manager::BackEndPort {
 
   private:
     void answer(proto::EiToEm message) {
-        asio::post(strand_,
-                   [this, message = std::move(message)]() mutable { events_.onLinkMessage(message); });
+        asio::post(strand_, [this, message = std::move(message)] { events_.onLinkMessage(message); });
     }
     void profile(bool services, const std::string& xml) {
         proto::EiToEm message;

@@ -192,7 +192,7 @@ class RobotManager : public entity_manager::BackEndEvents {
     // BackEndEvents, on the strand.
     void onLinkUp() override {}
     void onLinkDown(const std::string& /*reason*/, entity_manager::LinkEnd /*end*/) override {}
-    void onLinkMessage(proto::EiToEm& message) override {
+    void onLinkMessage(const proto::EiToEm& message) override {
         if (on_end && message.has_task() && message.task().event().state() >= proto::TASK_SUCCEEDED)
             on_end(message.task().event());
         const std::lock_guard lock(mutex_);

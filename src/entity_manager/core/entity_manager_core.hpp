@@ -82,12 +82,12 @@ class EntityManagerCore final : private Turn,
     /// It has been looked for in vain: what was found instead, for whoever asks why the entity is UNAV.
     void onApplicationSought(const std::string& finding);
     void onLinkDown(const std::string& reason, LinkEnd end = LinkEnd::Closed);
-    void onLinkMessage(const proto::EiToEm& message) {
+    /// False where it was a sample or raw data, after which everything here is as it was, nextDeadline() too.
+    bool onLinkMessage(const proto::EiToEm& message) {
         auto copy = message;
-        hear(copy);
+        return hear(copy);
     }
-    /// The same without a copy of bulk data; the message is left in some valid state. False where it was a
-    /// sample or raw data, after which everything here is as it was, nextDeadline() too.
+    /// The same without a copy of bulk data; the message is left in some valid state.
     bool onLinkMessage(proto::EiToEm&& message) { return hear(message); }
 
     // From the server. `bytes` is an axon.proto.ToEntity.

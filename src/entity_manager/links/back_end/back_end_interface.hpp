@@ -36,9 +36,8 @@ class BackEndEvents {
     virtual ~BackEndEvents() = default;
     virtual void onLinkUp() = 0;
     virtual void onLinkDown(const std::string& reason, LinkEnd end) = 0;
-    /// Everything but Welcome and beats, from both lanes. What is done with the message leaves it in some
-    /// valid state, so that nothing of it is copied.
-    virtual void onLinkMessage(proto::EiToEm& message) = 0;
+    /// Everything but Welcome and beats, from both lanes.
+    virtual void onLinkMessage(const proto::EiToEm& message) = 0;
     /// For the operator: our application is there and does not want us (ALREADY_HELD, NOT_SUPPORTED), or a
     /// message was larger than a frame (TOO_LARGE). Told when the reason changes.
     virtual void onLinkRefused(const Refusal&) {}
