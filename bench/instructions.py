@@ -11,7 +11,7 @@ given those before: one at a time, or as many together as --together says. An in
 machine is, so two versions can be compared that were counted at different times.
 
 What a station does all the time, above all heartbeats, is counted while no message is sent, and subtracted.
---functions writes for each way and station which functions the instructions were spent in.
+--functions writes for each way and station which functions the instructions were spent in, with what these call.
 Needs the packages valgrind and, for --functions, its callgrind_annotate.
 Exit status: 1 if a program did not start or a message did not arrive.
 """
@@ -53,7 +53,8 @@ class Counted(Process):
 
     def counted(self):
         """(instructions since the last call, the file that says where)."""
-        subprocess.run(["callgrind_control", "-d", str(self.child.pid)], check=True, stdout=subprocess.DEVNULL, timeout=60)
+        subprocess.run(["callgrind_control", "-d", str(self.child.pid)], check=True, stdout=subprocess.DEVNULL,
+                       stderr=subprocess.DEVNULL, timeout=60)
         self.dumps += 1
         file = pathlib.Path(f"{self.out}.{self.dumps}")
         end = time.monotonic() + 30
@@ -161,11 +162,9 @@ def main():
                 if options.functions:
                     options.functions.mkdir(parents=True, exist_ok=True)
                     for name, (_, file) in found.items():
-                        for inclusive in ("no", "yes"):
-                            listed = subprocess.run(["callgrind_annotate", "--auto=no", f"--inclusive={inclusive}", "--threshold=99", file],
-                                                    check=True, capture_output=True, text=True).stdout
-                            kind = "inclusive" if inclusive == "yes" else "self"
-                            (options.functions / f"{way}-{together}-{name}.{kind}").write_text(listed)
+                        listed = subprocess.run(["callgrind_annotate", "--auto=no", "--inclusive=yes", "--threshold=99", file],
+                                                check=True, capture_output=True, text=True).stdout
+                        (options.functions / f"{way}-{together}-{name}.txt").write_text(listed)
         except Failed as failed:
             print(f"instructions.py: {failed}; logs: {folder}", file=sys.stderr)
             return 1
