@@ -116,6 +116,7 @@ enum class Takes {
     Binding,  ///< ROLE=ENTITY
     Run,      ///< of a global service
     Stream,
+    Verb,
     Duration,
     MaybeDuration,  ///< "--wait" or "--wait=5": options only
     Count,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <map>
@@ -646,6 +647,8 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "re"}), "rearm\nrelease\nresume\nreset");
     EXPECT_EQ(offered({"axon", "run", "Peo"}), "PeopleBot#1\nPeopleBot#2");
     EXPECT_EQ(offered({"axon", "run", "Cyton", ""}), "Driving");
+    EXPECT_EQ(offered({"axon", "help", "global", "ch"}), "check");
+    EXPECT_EQ(offered({"axon", "help", "chec"}), "checkout");
     EXPECT_EQ(offered({"axon", "run", "--wait", "3", "Cyton", "Driving", "Distance=1", ""}),
               "Range_Threshold=\nColours=");
     EXPECT_EQ(offered({"axon", "run", "Cyton", "Driving", "Colours", "=", "r"}), "red");
