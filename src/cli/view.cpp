@@ -268,6 +268,13 @@ void PersonView::show(const Json& event) {
         }
         return say(what);
     }
+    if (kind == "project") {
+        say(paint("✓", Tint::Green) + " made the " + textOf(event, "kind") + " project " +
+            textOf(event, "name") + "; next:");
+        for (const auto& command : event.at("next")) out_ << "  " << valueText(command) << '\n';
+        out_ << std::flush;
+        return;
+    }
     if (kind == "version") return say("axon " + textOf(event, "version"));
     if (kind == "notice") return say(paint(textOf(event, "message"), Tint::Dim));
     if (kind == "line") return say(textOf(event, "text", true));
