@@ -20,6 +20,8 @@ namespace {
 
 // A shell that waits for a server that is away is worse than one that completes nothing.
 constexpr std::chrono::milliseconds kPatience{300};
+// Streams are listened for, which takes its time.
+constexpr std::chrono::milliseconds kPatienceForStreams{800};
 
 // In each script a candidate that ends in '=' goes on, "__files__" asks for file names, and others end the
 // word.
@@ -242,6 +244,8 @@ class Completer {
             }
             case Takes::KeyValue:
                 return parameters(given, current);
+            case Takes::Stream:
+                return streams(given);
             case Takes::Verb:
                 return verbNames(given);
             case Takes::GlobalService: {
@@ -288,6 +292,20 @@ class Completer {
         return names;
     }
 
+    std::vector<std::string> streams(const std::vector<std::string>& given) {
+        if (given.empty()) return {};
+        Collected seen;
+        session_.perform("info", {{"entity", given[0]}}, seen);
+        std::vector<std::string> names;
+        if (const auto* entity = seen.first("entity")) {
+            for (const auto& stream : entity->at("streams")) {
+                const auto name = stream.at("name").get<std::string>();
+                if (std::find(given.begin(), given.end(), name) == given.end()) names.push_back(name);
+            }
+        }
+        return names;
+    }
+
     Json globalServices() {
         Collected seen;
         session_.perform("global ls", Json::object(), seen);
@@ -312,7 +330,7 @@ class Completer {
     Json services(const std::vector<std::string>& given) {
         if (given.empty()) return Json::array();
         Collected seen;
-        session_.perform("info", {{"entity", given[0]}}, seen);
+        session_.perform("info", {{"entity", given[0]}, {"no-streams", true}}, seen);
         const auto* entity = seen.first("entity");
         return entity == nullptr ? Json::array() : entity->at("services");
     }
@@ -365,12 +383,16 @@ class Completer {
 
 /// Ends the process when the completion takes too long; nothing has been printed then.
 class Impatience {
+  public:
+    explicit Impatience(std::chrono::milliseconds patience) : patience_(patience) {}
+
   private:
+    const std::chrono::milliseconds patience_;
     std::mutex mutex_;
     std::condition_variable_any ended_;
     const std::jthread thread_{[this](const std::stop_token& enough) {
         std::unique_lock lock(mutex_);
-        ended_.wait_for(lock, enough, kPatience, [] { return false; });
+        ended_.wait_for(lock, enough, patience_, [] { return false; });
         if (!enough.stop_requested()) ::_exit(kNotConfirmed);
     }};
 };
@@ -384,8 +406,10 @@ int complete(Session& session) {
             return misused(session, "expected the number of the word to complete");
         at = at * 10 + static_cast<std::size_t>(c - '0');
     }
-    const Impatience impatience;
     const auto line_words = joined({words.begin() + 1, words.end()}, at);
+    const auto& done = line_words.done;
+    const bool streams = std::find(done.begin(), done.end(), "watch") != done.end();
+    const Impatience impatience(streams ? kPatienceForStreams : kPatience);
     std::string text;
     for (const auto& candidate : Completer(session).complete(line_words)) {
         const bool files = candidate == "__files__";

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <thread>
 
@@ -610,6 +611,45 @@ TEST_F(Verbs, WatchShowsSamplesAndTextsUntilItsTimeIsUp) {
     EXPECT_EQ(perform("watch", {{"entity", "Cyton"}}), kInterrupted);
 }
 
+TEST_F(Verbs, WatchKeepsTheNewestPictureInAFileAndPassesNoPixelsOn) {
+    const auto file = std::filesystem::path(testing::TempDir()) / "axon-picture.jpg";
+    std::filesystem::remove(file);
+    station->stream = "camera";
+    station->samples = {
+        {1, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"b2xk"}})"},
+        {2, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"bmV3"}})"}};
+    const Json args{{"entity", "Cyton"}, {"streams", {"camera"}}, {"for", 0.05}, {"save", file.string()}};
+    EXPECT_EQ(perform("watch", args), kDone);
+    std::ifstream in(file, std::ios::binary);
+    std::string content;
+    in >> content;
+    EXPECT_EQ(content, "new");
+    EXPECT_EQ(seen.last("sample")->at("file"), file.string());
+    EXPECT_EQ(seen.last("sample")->at("sample"),
+              Json({{"image", {{"width", 2}, {"height", 1}, {"encoding", "jpeg"}}}}));
+    station->samples = {{3, R"({"stream":"camera","scalar":{"value":1}})"}};
+    EXPECT_EQ(perform("watch", args), kUsage);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("has no pictures"));
+    std::filesystem::remove(file);
+}
+
+TEST_F(Verbs, APictureIsSavedOfOneStreamAndFromAnyFolder) {
+    Json args{{"entity", "Cyton"}, {"save", "now.jpg"}};
+    EXPECT_THAT(findVerb("watch")->prepare(args), HasSubstr("the name of one stream"));
+    args["streams"] = {"camera"};
+    EXPECT_EQ(findVerb("watch")->prepare(args), "");
+    EXPECT_TRUE(std::filesystem::path(args["save"].get<std::string>()).is_absolute());
+}
+
+TEST_F(Verbs, InfoListsTheStreamsThatAreSentUnlessItIsToldNotTo) {
+    station->samples = {{1, R"({"stream":"pose","sequence":"1","pose":{"x":1.5}})"},
+                        {2, R"({"stream":"pose","sequence":"2","pose":{"x":2.5}})"}};
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}}), kDone);
+    EXPECT_EQ(seen.last("entity")->at("streams"), Json::array({{{"name", "pose"}, {"kind", "pose"}}}));
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}, {"no-streams", true}}), kDone);
+    EXPECT_EQ(seen.last("entity")->at("streams"), Json::array());
+}
+
 TEST_F(Verbs, LsNumbersSharedNames) {
     EXPECT_EQ(perform("ls", Json::object()), kDone);
     const auto& list = seen.last("entities")->at("entities");
@@ -647,6 +687,8 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "re"}), "rearm\nrelease\nresume\nreset");
     EXPECT_EQ(offered({"axon", "run", "Peo"}), "PeopleBot#1\nPeopleBot#2");
     EXPECT_EQ(offered({"axon", "run", "Cyton", ""}), "Driving");
+    station->samples = {{1, R"({"stream":"pose","pose":{"x":1.5}})"}};
+    EXPECT_EQ(offered({"axon", "watch", "Cyton", "p"}), "pose");
     EXPECT_EQ(offered({"axon", "help", "global", "ch"}), "check");
     EXPECT_EQ(offered({"axon", "help", "chec"}), "checkout");
     EXPECT_EQ(offered({"axon", "run", "--wait", "3", "Cyton", "Driving", "Distance=1", ""}),
