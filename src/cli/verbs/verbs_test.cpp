@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include <arpa/inet.h>
 #include <gmock/gmock.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 
 #include <algorithm>
 #include <cstdlib>
@@ -10,7 +13,9 @@
 
 #include "cli/fake_station.hpp"
 #include "cli/holding.hpp"
+#include "cli/reach.hpp"
 #include "cli/words.hpp"
+#include "common/descriptor.hpp"
 #include "support/loopback.hpp"
 
 using namespace axon;
@@ -87,6 +92,53 @@ TEST_F(Verbs, DoctorNamesAnEntityWithoutItsApplicationAndOneWithoutProfiles) {
     EXPECT_THAT(findings["greeter"]["fix"].get<std::string>(), HasSubstr("--application"));
     EXPECT_EQ(findings["half"]["level"], "bad");
     EXPECT_THAT(findings["half"]["message"].get<std::string>(), HasSubstr(silent.reason));
+}
+
+TEST_F(Verbs, DoctorSaysWhatKeepsASessionFromBeingMade) {
+    const auto finding = [&](const std::string& server, const std::string& name) {
+        seen.events.clear();
+        settings.server = server;
+        Session session{Json::object(), seen, mailbox, nullptr, settings, kept};
+        session.connect = [&](const Settings&) {
+            return Result<std::shared_ptr<Station>>(
+                Refusal{RefusalCode::Unavailable, "nobody listens there", {}});
+        };
+        EXPECT_EQ(findVerb("doctor")->perform(session), kRefused);
+        for (const auto& event : seen.events)
+            if (event.value("name", "") == name) return event.value("message", "");
+        return std::string();
+    };
+    EXPECT_THAT(finding("no-such-host.invalid:10410", "network"), HasSubstr("no machine is called"));
+    // Another program at the second of a server's ports, and then at the first.
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof address;
+    std::optional<Descriptor> taken;
+    std::uint16_t port = 0;
+    while (!taken || isTaken(static_cast<std::uint16_t>(port - 1))) {
+        taken.emplace(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+        address.sin_port = 0;
+        ASSERT_EQ(::bind(taken->get(), reinterpret_cast<sockaddr*>(&address), size), 0);
+        ASSERT_EQ(::listen(taken->get(), 4), 0);
+        ASSERT_EQ(::getsockname(taken->get(), reinterpret_cast<sockaddr*>(&address), &size), 0);
+        port = ntohs(address.sin_port);
+    }
+    EXPECT_THAT(finding("127.0.0.1:" + std::to_string(port - 1), "server ports"),
+                HasSubstr(std::to_string(port)));
+    EXPECT_THAT(finding("127.0.0.1:" + std::to_string(port), "network"), HasSubstr("a program listens"));
+    EXPECT_EQ(finding("Axon.Clients/router:tcp -h lab -p 1", "network"), "") << "a router has no such ports";
+}
+
+TEST_F(Verbs, DoctorLooksAtTheClock) {
+    Session session{Json::object(), seen, mailbox, nullptr, settings, kept};
+    session.connect = [&](const Settings&) { return std::shared_ptr<Station>(station); };
+    findVerb("doctor")->perform(session);
+    const auto found = std::find_if(seen.events.begin(), seen.events.end(),
+                                    [](const Json& event) { return event.value("name", "") == "clock"; });
+    ASSERT_NE(found, seen.events.end());
+    EXPECT_THAT((*found)["message"].get<std::string>(), HasSubstr(" UTC"));
+    EXPECT_NE((*found)["level"], "bad");
 }
 
 TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
