@@ -25,6 +25,11 @@ constexpr const char* kRootFooter =
     "  axon stop PeopleBot                        stop it at any time, whoever holds it\n"
     "  axon checkout PeopleBot                    check it out until axon release\n"
     "  axon checkout --query '1 ROBOT/MOBILE'     check out any that is free\n"
+    "Words: an entity is a robot or machine. To check it out is to reserve it for yourself; the agent is a "
+    "process\n"
+    "in the background that keeps check-outs. A stop latches an entity: it refuses tasks until axon rearm. A "
+    "receipt\n"
+    "says what a stop has reached. A drill measures how long a stop takes, and stops nothing.\n"
     "axon help VERB shows more. Exit status: 0 done, 1 refused or failed, 2 usage, 3 no server,\n"
     "4 not confirmed, 5 stopped or cancelled, 130 interrupted.";
 
