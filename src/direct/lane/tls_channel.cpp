@@ -20,9 +20,10 @@ using certificates::Unusable;
 
 namespace {
 
-constexpr std::size_t kReadMax = 64 * 1024;     // of the socket, at once
-constexpr std::size_t kRecordMax = 16 * 1024;   // what one record of TLS holds
-constexpr std::size_t kSentAtOnce = 64 * 1024;  // then the socket is asked how much it takes
+constexpr std::size_t kReadMax = 64 * 1024;       // of the socket, at once
+constexpr std::size_t kRecordMax = 16 * 1024;     // what one record of TLS holds
+constexpr std::size_t kHandshakeMax = 32 * 1024;  // of one message, such as a chain of certificates
+constexpr std::size_t kSentAtOnce = 64 * 1024;    // then the socket is asked how much it takes
 /// What may wait to be sent: what was sealed at once, and a little that TLS itself says.
 constexpr std::size_t kUnsentMax = 2 * kSentAtOnce;
 
@@ -38,6 +39,13 @@ void require(int code, const char* what) {
 /// What GnuTLS has taken from the connection and says, and what changes nothing.
 bool isNothing(ssize_t code) {
     return code == GNUTLS_E_INTERRUPTED || code == GNUTLS_E_WARNING_ALERT_RECEIVED;
+}
+
+/// What GnuTLS says of an error, without its full stop.
+std::string textOf(int code) {
+    std::string text = gnutls_strerror(code);
+    if (text.ends_with('.')) text.pop_back();
+    return text;
 }
 
 /// The pieces as one run of bytes.
@@ -102,7 +110,7 @@ struct Tls::Shown {
             made->it, &certificate, &key, GNUTLS_X509_FMT_PEM,
             credentials.password.empty() ? nullptr : credentials.password.c_str(), 0);
         if (code < 0)
-            throw Unusable(std::string("certificate and key cannot be used: ") + gnutls_strerror(code) +
+            throw Unusable("certificate and key cannot be used: " + textOf(code) +
                                "; expected both in PEM form, and the key of this certificate",
                            "name files of axon certs issue in IceSSL.CertFile and IceSSL.KeyFile");
         return made;
@@ -135,6 +143,7 @@ class TlsChannel final : public Channel {
                 made, tls_->caller_ == Credentials::Peer::Required ? GNUTLS_CERT_REQUIRE
                       : tls_->caller_ == Credentials::Peer::Asked  ? GNUTLS_CERT_REQUEST
                                                                    : GNUTLS_CERT_IGNORE);
+        gnutls_handshake_set_max_packet_length(made, kHandshakeMax);
         gnutls_transport_set_ptr(made, this);
         gnutls_transport_set_pull_function(made, [](gnutls_transport_ptr_t at, void* into, std::size_t size) {
             return static_cast<TlsChannel*>(at)->pull(static_cast<char*>(into), size);
@@ -300,9 +309,9 @@ class TlsChannel final : public Channel {
         if (code == GNUTLS_E_NO_CERTIFICATE_FOUND || code == GNUTLS_E_CERTIFICATE_REQUIRED)
             return "no certificate was shown (axon certs issue makes one)";
         if (state_ == State::Opening)
-            return std::string("TLS could not be set up: ") + gnutls_strerror(code) +
+            return "TLS could not be set up: " + textOf(code) +
                    "; most likely the other side does not speak TLS";
-        return std::string("TLS failed: ") + gnutls_strerror(code);
+        return "TLS failed: " + textOf(code);
     }
 
     const std::shared_ptr<const Tls> tls_;

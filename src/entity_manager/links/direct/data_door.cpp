@@ -43,6 +43,7 @@ using transport::ConnectionLimitsCore;
 
 constexpr int kFramesPerTurn = 128;  // then the strand may do something else
 constexpr int kAcceptsPerLook = 64;
+constexpr int kTlsAcceptsPerLook = 16;  // each costs a handshake
 constexpr Duration kLooks = 100ms;
 constexpr Duration kTold = 11s;  // after the last connection was closed: the log hears of it within 10 s
 constexpr transport::ConnectionBounds kBounds{
@@ -306,7 +307,7 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
                 // Where it failed there are no descriptors; those that are refused until the next look are
                 // tried again by the kernel of whoever calls.
                 if (!error) self->take(std::move(socket));
-                if (error || ++self->accepted_ >= kAcceptsPerLook) return self->lookIn(kLooks);
+                if (error || ++self->accepted_ >= self->accepts_per_look_) return self->lookIn(kLooks);
                 self->accept();
             }));
     }
@@ -352,6 +353,7 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
     DueTimer timer_;
     ConnectionLimitsCore limits_{kBounds};
     std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;
+    const int accepts_per_look_ = tls_ ? kTlsAcceptsPerLook : kAcceptsPerLook;
     RateLimit refusals_{kTlsRefusalsPerSecond};
     std::uint64_t last_ = 0;
     int accepted_ = 0;  // since the last look

@@ -20,9 +20,9 @@ namespace axon::entity_manager {
 /// of strangers delays neither the strand nor a holder; records are opened and sealed on the strand, like
 /// everything else. Threads: the strand's alone, but for the destructor, which comes after shut() and joins
 /// those threads. Bounds: of connections without a path 64 of one address and 256
-/// in all are kept, for 10 s, the oldest are closed; at most 64 are taken in each 100 ms, so that a flood of
-/// them leaves the strand to others. Failure: the constructor throws std::runtime_error where it cannot
-/// listen.
+/// in all are kept, for 10 s, the oldest are closed; at most 64 are taken in each 100 ms (16 with TLS), so
+/// that a flood of them leaves the strand to others. Failure: the constructor throws std::runtime_error where
+/// it cannot listen.
 class DataDoor {
   public:
     /// `port` 0: a free one. `tls`: what is spoken there; null: plain TCP.
