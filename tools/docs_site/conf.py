@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Sphinx's configuration of the documentation site; tools/make_docs runs it."""
-import re
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from slugs import github_slug  # noqa: E402  pylint: disable=wrong-import-position
 
 project = "Axon"
 html_title = "Axon"
@@ -18,12 +22,6 @@ highlight_language = "none"  # what stands in a fence without a language are com
 # "--server" stays two hyphens.
 smartquotes = False
 suppress_warnings = ["myst.header"]  # pages may leave out a level of headings
-
-
-def github_slug(title):
-    """The anchor of a heading, as repository browsers and tools/check_docs.py make it."""
-    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
-
 
 myst_heading_anchors = 6
 myst_heading_slug_func = github_slug

@@ -233,15 +233,51 @@ def values_of(member, page):
 
 # --- C++ ---
 
+def declared_in(xml, headers):
+    """For each header, in the order of its lines: (line, directive of Breathe, name, heading or None)."""
+    found = {header: [] for header in headers}
+
+    def note(element, directive, name, heading):
+        place = element.find("location")
+        if place is not None and place.get("file") in found:
+            found[place.get("file")].append((int(place.get("line")), directive, name, heading))
+
+    compounds = [one for file in sorted(xml.glob("*.xml")) for one in ElementTree.parse(file).getroot().iter("compounddef")]
+    classes = {one.findtext("compoundname") for one in compounds if one.get("kind") in ("class", "struct")}
+    for compound in compounds:
+        name = compound.findtext("compoundname")
+        if compound.get("kind") in ("class", "struct") and name.rpartition("::")[0] not in classes:  # others are shown inside theirs
+            note(compound, "doxygen" + compound.get("kind"), name, name.removeprefix("axon::").removeprefix("client::"))
+        elif compound.get("kind") == "namespace":
+            for member in compound.iter("memberdef"):
+                kind, whole = member.get("kind"), f"{name}::{member.findtext('name')}"
+                if kind == "enum":
+                    note(member, "doxygenenum", whole, member.findtext("name"))
+                elif kind == "function":
+                    types = [text_of(one.find("type")).replace("`", "") for one in member.findall("param")]
+                    note(member, "doxygenfunction", f"{whole}({', '.join(types)})", None)
+                elif kind == "typedef":
+                    note(member, "doxygentypedef", whole, None)
+                elif kind == "variable" and "#" not in (member.findtext("initializer") or ""):
+                    note(member, "doxygenvariable", whole, None)
+    return {header: sorted(items) for header, items in found.items()}
+
+
 def cpp_pages(root, work, source):
     headers = [f"{folder}/{name}" for _, _, folder, names, _ in LIBRARIES for name in names]
-    doxygen(work / "cpp", headers, root, PREDEFINED='"AXON_EI_API="', MACRO_EXPANSION="YES", ENABLE_PREPROCESSING="YES",
-            SEARCH_INCLUDES="NO", EXCLUDE_SYMBOLS="*::Shared *::Channel")
+    xml = doxygen(work / "cpp", headers, root, PREDEFINED='"AXON_EI_API="', MACRO_EXPANSION="YES", ENABLE_PREPROCESSING="YES",
+                  SEARCH_INCLUDES="YES", EXCLUDE_SYMBOLS="*::Shared *::Channel *::Desk")
+    declared = declared_in(xml, headers)
     pages = []
     for file, title, folder, names, what in LIBRARIES:
         lines = [title, "=" * len(title), "", what, ""]
         for name in names:
-            lines += [f"axon/{name}", "-" * (len(name) + 5), "", f".. doxygenfile:: {folder}/{name}", "   :project: axon", "   :sections: briefdescription detaileddescription innerclass innernamespace func var enum typedef public-func public-attrib public-type public-static-func", ""]
+            include = f"axon/{name}"
+            lines += [include, "-" * len(include), ""]
+            for _, directive, whole, heading in declared[f"{folder}/{name}"]:
+                if heading:
+                    lines += [heading, "^" * len(heading), ""]
+                lines += [f".. {directive}:: {whole}", "   :project: axon"] + (["   :members:"] if directive in ("doxygenclass", "doxygenstruct") else []) + [""]
         page = f"api/cpp/{file}.rst"
         (source / page).parent.mkdir(parents=True, exist_ok=True)
         (source / page).write_text("\n".join(lines), encoding="utf-8")
