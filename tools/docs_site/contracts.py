@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ElementTree
 
 from google.protobuf import descriptor_pb2
 
+from slugs import github_slug
 
 LIBRARIES = [
     # file of the site, title, folder of the headers, headers in their order, what it is
@@ -31,7 +32,7 @@ def doxygen(folder, inputs, root, **settings):
     settings = {"PROJECT_NAME": "Axon", "OUTPUT_DIRECTORY": folder, "INPUT": " ".join(str(root / one) for one in inputs),
                 "STRIP_FROM_PATH": root, "GENERATE_XML": "YES", "GENERATE_HTML": "NO", "GENERATE_LATEX": "NO", "XML_PROGRAMLISTING": "NO",
                 "EXTRACT_ALL": "YES", "EXTRACT_PRIVATE": "NO", "HIDE_FRIEND_COMPOUNDS": "YES", "AUTOLINK_SUPPORT": "NO",
-                "JAVADOC_AUTOBRIEF": "YES", "QUIET": "YES", "WARN_IF_UNDOCUMENTED": "NO", "SORT_MEMBER_DOCS": "NO",
+                "JAVADOC_AUTOBRIEF": "NO", "QUIET": "YES", "WARN_IF_UNDOCUMENTED": "NO", "SORT_MEMBER_DOCS": "NO",
                 "OPTIMIZE_OUTPUT_SLICE": "NO", "MARKDOWN_SUPPORT": "YES", **settings}
     file = folder / "Doxyfile"
     file.write_text("".join(f"{key} = {value}\n" for key, value in settings.items()), encoding="utf-8")
@@ -45,7 +46,7 @@ def linked(text, page):
     """Paths of pages in a comment as links, as seen from this page of the site."""
     def link(match):
         name, heading = match.group(1), match.group(2)
-        anchor = "#" + re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") if heading else ""
+        anchor = "#" + github_slug(heading) if heading else ""
         shown = name + (f', "{heading}"' if heading else "")
         return f"[{shown}]({os.path.relpath(name, os.path.dirname(page))}{anchor})"
     return re.sub(r'(?<![\w/`(\[])((?:docs|src|api)/[\w./-]+\.md)(?:,\s+"([^"]+)")?|(?<=\()((?:docs|src|api)/[\w./-]+\.md)',
@@ -94,9 +95,9 @@ class Proto:
     def comments(self, file):
         found = {}
         for place in self.files[file].source_code_info.location:
-            text = " ".join([place.leading_comments, place.trailing_comments]).strip()
-            if text:
-                found[tuple(place.path)] = text
+            texts = [text.strip() for text in (place.leading_comments, place.trailing_comments) if text.strip()]
+            if texts:
+                found[tuple(place.path)] = "; ".join(texts)
         return found
 
     def type_of(self, field, page):
@@ -136,7 +137,7 @@ class Proto:
             page = "api/proto/" + name.replace(".proto", ".md").replace("axon/", "")
             short = os.path.basename(name)
             # What stands above `syntax` is about the file.
-            head = "\n".join(re.findall(r"^// ?(?!SPDX)(.*)$", self.sources[name].split("syntax", 1)[0], re.MULTILINE))
+            head = "\n".join(re.findall(r"^//(?! ?SPDX) ?(.*)$", self.sources[name].split("syntax", 1)[0], re.MULTILINE))
             lines = [f"# {short}", f"The messages of `api/proto/{name}`, package `{file.package}`.", told(head, page), ""]
             for i, message in enumerate(file.message_type):
                 lines += self.message(message.name, message, (4, i), comments, page)
@@ -263,10 +264,22 @@ def declared_in(xml, headers):
     return {header: sorted(items) for header, items in found.items()}
 
 
+def with_links(xml, page):
+    """Makes links of the pages that comments name."""
+    def link(match):
+        name, heading = match.group(1), match.group(2)
+        anchor = "#" + github_slug(heading) if heading else ""
+        return f'<ulink url="{os.path.relpath(name, os.path.dirname(page))}.html{anchor}">{match.group()}</ulink>'
+    for file in xml.glob("*.xml"):
+        text = file.read_text(encoding="utf-8")
+        file.write_text(re.sub(r'(?<![\w/."])(docs/[\w/-]+)\.md(?:,\s+(?:"|&quot;)([^"&<]+)(?:"|&quot;))?', link, text), encoding="utf-8")
+
+
 def cpp_pages(root, work, source):
     headers = [f"{folder}/{name}" for _, _, folder, names, _ in LIBRARIES for name in names]
     xml = doxygen(work / "cpp", headers, root, PREDEFINED='"AXON_EI_API="', MACRO_EXPANSION="YES", ENABLE_PREPROCESSING="YES",
                   SEARCH_INCLUDES="YES", EXCLUDE_SYMBOLS="*::Shared *::Channel *::Desk")
+    with_links(xml, "api/cpp/client.rst")  # all pages of the classes lie in this folder
     declared = declared_in(xml, headers)
     pages = []
     for file, title, folder, names, what in LIBRARIES:
@@ -277,7 +290,7 @@ def cpp_pages(root, work, source):
             for _, directive, whole, heading in declared[f"{folder}/{name}"]:
                 if heading:
                     lines += [heading, "^" * len(heading), ""]
-                lines += [f".. {directive}:: {whole}", "   :project: axon"] + (["   :members:"] if directive in ("doxygenclass", "doxygenstruct") else []) + [""]
+                lines += [f".. {directive}:: {whole}", "   :project: axon"] + (["   :members:", "   :undoc-members:"] if directive in ("doxygenclass", "doxygenstruct") else []) + [""]
         page = f"api/cpp/{file}.rst"
         (source / page).parent.mkdir(parents=True, exist_ok=True)
         (source / page).write_text("\n".join(lines), encoding="utf-8")
