@@ -63,6 +63,15 @@ def told(text, page):
     return linked(escaped(re.sub(r"\s+", " ", text).strip()), page)
 
 
+def table(titles, rows):
+    """A table whose last column is left out if no row has anything in it."""
+    if not rows:
+        return []
+    if not any(row[-1] for row in rows):
+        titles, rows = titles[:-1], [row[:-1] for row in rows]
+    return [f"| {' | '.join(cells)} |" for cells in (titles, ["---"] * len(titles), *rows)] + [""]
+
+
 # --- protobuf ---
 
 SCALARS = {value: name.removeprefix("TYPE_").lower() for name, value in descriptor_pb2.FieldDescriptorProto.Type.items()}
@@ -109,21 +118,18 @@ class Proto:
         return label + SCALARS[field.type]
 
     def enum(self, name, enum, path, comments, page):
-        lines = [f"## {name}", f"*enumeration* {told(comments.get(path, ''), page)}", "", "| number | value | meaning |", "|---|---|---|"]
-        for i, value in enumerate(enum.value):
-            lines.append(f"| {value.number} | `{value.name}` | {told(comments.get((*path, 2, i), ''), page)} |")
-        return [*lines, ""]
+        rows = [(str(value.number), f"`{value.name}`", told(comments.get((*path, 2, i), ""), page)) for i, value in enumerate(enum.value)]
+        return [f"## {name}", f"*enumeration* {told(comments.get(path, ''), page)}", "", *table(("number", "value", "meaning"), rows)]
 
     def message(self, name, message, path, comments, page):
         lines = [f"## {name}", told(comments.get(path, ""), page), ""]
-        if message.field:
-            lines += ["| number | field | type | meaning |", "|---|---|---|---|"]
+        rows = []
         for i, field in enumerate(message.field):
             what = told(comments.get((*path, 2, i), ""), page)
             if field.HasField("oneof_index") and not field.proto3_optional:
                 what = f"one of `{message.oneof_decl[field.oneof_index].name}`" + (f": {what}" if what else "")
-            lines.append(f"| {field.number} | `{field.name}` | {self.type_of(field, page)} | {what} |")
-        lines.append("")
+            rows.append((str(field.number), f"`{field.name}`", self.type_of(field, page), what))
+        lines += table(("number", "field", "type", "meaning"), rows)
         for i, enum in enumerate(message.enum_type):
             lines += self.enum(f"{name}.{enum.name}", enum, (*path, 4, i), comments, page)
         for i, inner in enumerate(message.nested_type):
@@ -199,8 +205,8 @@ def slice_pages(root, work, source):
             lines = [f"## {name}", f"*{kind}* {told(description(compound), page)}", ""]
             fields = [one for one in compound.iter("memberdef") if one.get("kind") in ("variable", "property")]
             if fields:
-                lines += ["| field | type | meaning |", "|---|---|---|"]
-                lines += [f"| `{one.findtext('name')}` | `{text_of(one.find('type')).replace('`', '')}` | {told(description(one), page)} |" for one in fields] + [""]
+                lines += table(("field", "type", "meaning"), [(f"`{one.findtext('name')}`", f"`{text_of(one.find('type')).replace('`', '')}`",
+                                                               told(description(one), page)) for one in fields])
             for one in (one for one in compound.iter("memberdef") if one.get("kind") == "function"):
                 lines += [f"### {name}.{one.findtext('name')}", "```", declaration(one), "```", told(description(one), page), ""]
             found[where[0]].append((where[1], "\n".join(lines)))
@@ -226,10 +232,7 @@ def declaration(member):
 
 
 def values_of(member, page):
-    values = member.findall("enumvalue")
-    if not values:
-        return []
-    return ["| value | meaning |", "|---|---|"] + [f"| `{one.findtext('name')}` | {told(description(one), page)} |" for one in values] + [""]
+    return table(("value", "meaning"), [(f"`{one.findtext('name')}`", told(description(one), page)) for one in member.findall("enumvalue")])
 
 
 # --- C++ ---
