@@ -7,8 +7,8 @@
 
 #include "compatibility/samples.hpp"
 #include "entity_manager/core/collaboration/run_records.hpp"
-#include "entity_manager/core/kept_identity.hpp"
 #include "entity_manager/core/inputs/saved_values.hpp"
+#include "entity_manager/core/kept_identity.hpp"
 #include "entity_manager/core/stops/stop_ledger.hpp"
 #include "entity_manager/core/turn/lease_book.hpp"
 #include "entity_manager/identity.hpp"
@@ -88,7 +88,8 @@ int main(int argc, char** argv) {
     }
     const std::filesystem::path folder = argv[1];
     if (std::filesystem::exists(folder)) {
-        std::cerr << folder.string() << " exists already; a record is never written again; fix: name a new folder\n";
+        std::cerr << folder.string()
+                  << " exists already; a record is never written again; fix: name a new folder\n";
         return 2;
     }
     std::filesystem::create_directories(folder / "state");

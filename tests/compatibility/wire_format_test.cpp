@@ -100,7 +100,8 @@ TEST(WireFormat, EveryRecordedMessageIsReadAndWrittenAsInItsRelease) {
         ASSERT_TRUE(pb::TextFormat::ParseFromString(one.text, expected.get()))
             << one.type << " has lost a field: " << one.text;
         ASSERT_TRUE(read->ParseFromString(one.bytes)) << one.type << ": " << one.text;
-        EXPECT_FALSE(hasUnknownFields(*read)) << one.type << " has a field with another number or type: " << one.text;
+        EXPECT_FALSE(hasUnknownFields(*read))
+            << one.type << " has a field with another number or type: " << one.text;
         EXPECT_TRUE(pb::util::MessageDifferencer::Equals(*expected, *read))
             << one.type << "\nwas written as " << one.text << "\nand is read as " << read->ShortDebugString();
         EXPECT_EQ(hexOf(expected->SerializeAsString()), hexOf(one.bytes)) << one.type << ": " << one.text;
@@ -205,7 +206,7 @@ TEST(WireFormat, RecordedMessagesOfADirectPathKeepTheirHead) {
         const auto read = direct::lane::messageIn(frame);
         ASSERT_TRUE(read) << name;
         EXPECT_EQ(read->keeping, std::string_view(name) == "direct-message" ? direct::Keeping::Kept
-                                                                           : direct::Keeping::Droppable);
+                                                                            : direct::Keeping::Droppable);
         EXPECT_EQ(read->held, expected.held);
         EXPECT_EQ(read->stop_generation, expected.stop_generation);
         EXPECT_EQ(read->sequence, expected.sequence);
@@ -244,7 +245,8 @@ TEST(WireFormat, TodaysCodeWritesTheRecordedBytes) {
     const auto now = encodedNow();
     EXPECT_EQ(now.size(), recorded.size());
     for (const auto& [name, bytes] : now) {
-        if (direct::lane::kContract != kRecordedContract && (name == "direct-nonce" || name == "direct-claim"))
+        if (direct::lane::kContract != kRecordedContract &&
+            (name == "direct-nonce" || name == "direct-claim"))
             continue;  // it names the contract
         ASSERT_TRUE(recorded.contains(name)) << name;
         EXPECT_EQ(hexOf(bytes), hexOf(recorded.at(name))) << name;

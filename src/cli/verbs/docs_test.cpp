@@ -47,12 +47,14 @@ TEST_F(Docs, OfThePrefixComeBeforeThoseOfTheBuild) {
     EXPECT_EQ(docsPage(root / "build/dev/bin/axon", {}), installed);
 }
 
-TEST_F(Docs, HaveAPageByItsPathInTheSite) {
+TEST_F(Docs, HaveAPageByItsPath) {
     page("usr/share/doc/axon/html/index.html");
-    const auto questions = page("usr/share/doc/axon/html/docs/questions.html");
-    EXPECT_EQ(docsPage(root / "usr/bin/axon", "docs/questions.html"), questions);
-    EXPECT_EQ(docsPage(root / "usr/bin/axon", "docs/answers.html"), std::nullopt);
-    EXPECT_EQ(docsPage(root / "usr/bin/axon", "docs"), std::nullopt) << "a folder is no page";
+    const auto known = page("usr/share/doc/axon/html/folder/known.html");
+    EXPECT_EQ(docsPage(root / "usr/bin/axon", "folder/known.html"), known);
+    EXPECT_EQ(docsPage(root / "usr/bin/axon", fs::path("folder/known").concat(".md").string()), known)
+        << "as the page is called in the sources";
+    EXPECT_EQ(docsPage(root / "usr/bin/axon", "folder/unknown.html"), std::nullopt);
+    EXPECT_EQ(docsPage(root / "usr/bin/axon", "folder"), std::nullopt) << "a folder is no page";
 }
 
 TEST_F(Docs, ThatAreNotThereAreNotFound) {
@@ -63,9 +65,13 @@ TEST_F(Docs, TheCommandSaysHowToGetAPageThatIsNotThere) {
     Recorded seen;
     Settings settings;
     Session session{{{"page", "no/such/page.html"}, {"path", true}},
-                    seen, std::make_shared<Mailbox>(), nullptr, settings};
+                    seen,
+                    std::make_shared<Mailbox>(),
+                    nullptr,
+                    settings};
     EXPECT_EQ(findVerb("docs")->perform(session), kUsage);
     ASSERT_NE(seen.last("error"), nullptr);
-    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(),
-                testing::AnyOf(testing::HasSubstr("tools/make_docs"), testing::HasSubstr("docs/questions.html")));
+    EXPECT_THAT(
+        seen.last("error")->at("fix").get<std::string>(),
+        testing::AnyOf(testing::HasSubstr("tools/make_docs"), testing::HasSubstr("docs/questions.md")));
 }
