@@ -133,7 +133,7 @@ TEST_F(Global, ResultsHaveUnitsAndWhatWasReportedOnTheWayIsNone) {
         succeeded(report);
         report.steps[0].results["Speed"] = {std::int64_t{200}};
     }};
-    EXPECT_EQ(perform("global run", {{"name", "Fetch ball"}}), kDone);
+    EXPECT_EQ(perform("run", {{"name", "Fetch ball"}}), kDone);
     const auto& step = seen.last("run")->at("steps").at(0);
     EXPECT_EQ(step.at("units").at("Position"), "mm");
     EXPECT_EQ(step.at("live"), Json::array({"Speed"}));
