@@ -206,7 +206,8 @@ TEST_F(View, ShowsWhatIsNotAsItsProfilesMeanIt) {
               "Cyton  ROBOT STATIONARY  IDLE  free\n"
               "  a saved value was dropped\n"
               "    fix: set it again\n"
-              "  at 0, 0, 0 mm  33333333-0000-4000-8000-000000000003\n");
+              "\n"
+              "at 0, 0, 0 mm  33333333-0000-4000-8000-000000000003\n");
 }
 
 TEST_F(View, PrintsProgressNowAndThenWhereLinesCannotBeRedrawn) {
