@@ -25,3 +25,7 @@ if(AXON_LAB)
   install(TARGETS axon_entity_interfacer LIBRARY COMPONENT Programs NAMELINK_SKIP) # the robot applications link it
   install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT Programs)
 endif()
+
+# The documentation site, if it has been built: cmake --build BUILD --target docs_site, or tools/make_docs.
+add_custom_target(docs_site COMMAND "${PROJECT_SOURCE_DIR}/tools/make_docs" USES_TERMINAL COMMENT "Building the documentation site")
+install(DIRECTORY "${PROJECT_SOURCE_DIR}/build/docs-site/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/axon/html" COMPONENT axon-doc OPTIONAL)

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Shows that check_invariants.py, check_docs.py and check_style can fail: one small tree for each rule; and what
+"""Shows that check_invariants.py, check_docs.py, check_site.py and check_style can fail: one small tree for each rule; and what
 unless_stalled does."""
 import argparse
 import contextlib
@@ -18,9 +18,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.dont_write_bytecode = True
+sys.path.insert(0, str(Path(__file__).resolve().parent / "docs_site"))
 import check_docs  # noqa: E402
 import check_invariants  # noqa: E402
+import check_site  # noqa: E402
 import demo  # noqa: E402
+import stage  # noqa: E402
 import stalls  # noqa: E402
 
 _loader = importlib.machinery.SourceFileLoader("unless_stalled", str(Path(__file__).with_name("unless_stalled")))
@@ -384,6 +387,53 @@ class Style(TreeCase):
         code, said, failed = self.check("tidy")
         self.assertEqual((code, said), (2, ""))
         self.assertIn("compile_commands.json\nfix: cmake --preset dev", failed)
+
+
+class Site(TreeCase):
+    def page(self, name, body):
+        self.write(name, f"<html><head></head><body>{body}</body></html>")
+
+    def found(self):
+        return list(check_site.findings(self.root))
+
+    def test_a_whole_site_is_silent(self):
+        self.page("index.html", '<a href="docs/a.html#here">a</a> <a href="https://example.org/">elsewhere</a> <img src="data:image/png;base64,">')
+        self.page("docs/a.html", '<h1 id="here">a</h1> <a href="../index.html">back</a> <a href="#here">up</a>')
+        self.assertEqual(self.found(), [])
+
+    def test_an_empty_folder_is_no_site(self):
+        self.assertIn("there is no page", self.found()[0])
+
+    def test_a_dead_link_and_a_missing_anchor_are_found(self):
+        self.page("index.html", '<a href="gone.html">a</a> <a href="a.html#gone">b</a> <a href="#gone">c</a>')
+        self.page("a.html", '<h1 id="here">a</h1>')
+        found = self.found()
+        self.assertEqual(len(found), 3, found)
+        self.assertIn("index.html: gone.html leads to no file of the site", found[0])
+        self.assertIn("a.html#gone names no heading", found[1])
+        self.assertIn("#gone names no heading", found[2])
+
+    def test_what_a_page_loads_over_the_network_is_found(self):
+        for body in ('<script src="https://example.org/a.js"></script>', '<img src="//example.org/a.png">', '<p style="background: url(http://example.org/a.png)">',
+                     '<style>@import "https://example.org/a.css";</style>', '<link rel="stylesheet" href="https://example.org/a.css">'):
+            self.page("index.html", body)
+            found = self.found()
+            self.assertEqual(len(found), 1, (body, found))
+            self.assertIn("over the network", found[0])
+        self.page("index.html", "")
+        self.write("a.css", "@font-face { src: url('https://example.org/a.woff'); }")
+        self.assertIn("a.css: loads https://example.org/a.woff over the network", self.found()[0])
+
+    def test_links_to_folders_and_files_lead_to_what_is_staged(self):
+        self.write("a/README.md", "# a\n")
+        self.write("LICENSES/MIT.txt", "free\n")
+        self.write("src/a.hpp", "int a;\n")
+        extra = {}
+        text = stage.with_links(self.root.resolve(), self.root.resolve() / "README.md",
+                                "[a](a) [a](a/) [l](LICENSES) [h](src/a.hpp) [p](b.md#c) [`x`](a) [w](https://example.org)\n```\n[f](a)\n```\n", extra)
+        self.assertEqual(text, "[a](a/README.md) [a](a/README.md) [l](LICENSES/README.md) [h](src/a.hpp) [p](b.md#c) [`x`](a/README.md) "
+                               "[w](https://example.org)\n```\n[f](a)\n```\n")
+        self.assertEqual(sorted(str(one) for one in extra), ["LICENSES/README.md", "src/a.hpp"])
 
 
 if __name__ == "__main__":

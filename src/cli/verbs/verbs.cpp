@@ -8,7 +8,9 @@ namespace axon::cli {
 extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kWait, kPause,
     kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent, kBench,
     kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
-    kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory;
+    kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory, kHelp, kInit, kManual;
+
+extern const Verb kDocs;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
@@ -40,14 +42,18 @@ const std::vector<const Verb*>& verbs() {
         &kGlobalResume,   //
         &kGlobalCancel,   //
         &kGlobalHistory,  //
+        &kInit,           //
         &kProfile,        //
         &kDrill,          //
         &kDoctor,         //
         &kBench,          //
         &kCerts,          //
         &kAgent,          //
+        &kDocs,           //
         &kCompletion,     //
+        &kHelp,           //
         &kComplete,       //
+        &kManual,         //
         &kVersion,        //
     };
     return all;

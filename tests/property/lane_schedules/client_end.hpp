@@ -109,6 +109,7 @@ class LanePath final : public client::DirectPath,
                            around_.limits.window_bytes + 2 * direct::lane::kMessageFrameMax;
         auto lane = std::make_shared<client::FramedLane>(
             around_.readers, std::move(socket).value(),
+            [](direct::lane::Wire& its) { return std::make_unique<direct::lane::PlainChannel>(its); },
             direct::lane::ClientOpening(
                 claim(),
                 [weak = weak_from_this()](const Id128& nonce) {
@@ -260,15 +261,16 @@ class ClientEnd final : public client::DirectPathEvents, public std::enable_shar
   public:
     ClientEnd(const Clock& clock, Activity& activity, Relay& relay, Signals& signals, Claims& claims,
               Book& sends, Book& hears, std::shared_ptr<ManagerEnd> manager, transport::OutboxLimits limits,
-              bool admits)
+              bool admits, Duration spin)
         : activity_(activity),
           relay_(relay),
           claims_(claims),
           sends_(sends),
           hears_(hears),
           admits_(admits),
-          around_{clock, signals, claims, std::move(manager), std::make_shared<client::LaneReaders>(clock),
-                  limits},
+          around_{
+              clock, signals, claims, std::move(manager), std::make_shared<client::LaneReaders>(clock, spin),
+              limits},
           links_(clock, 4,
                  [this](const client::DirectOffer& offer) {
                      return std::make_shared<LanePath>(around_, offer, Id128::random(random_),

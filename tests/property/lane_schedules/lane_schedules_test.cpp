@@ -67,7 +67,8 @@ struct Reached {
 class Trial {
   public:
     Trial(std::uint64_t seed, Reached& reached)
-        : random_(seed),
+        : seed_(seed),
+          random_(seed),
           reached_(reached),
           largest_(largest()),
           burst_(1 + below(below(6) == 0 ? 300 : 20)),
@@ -78,10 +79,10 @@ class Trial {
           cabled_(below(4) != 0),
           budget_(below(20) == 0 ? 40'000'000 : 6'000'000) {
         manager_ = std::make_shared<ManagerEnd>(clock_, activity_, relay_, claims_, to_manager_, to_client_,
-                                                inbox());
+                                                inbox(), spin());
         manager_->start();
         client_ = std::make_shared<ClientEnd>(clock_, activity_, relay_, signals_, claims_, to_manager_,
-                                              to_client_, manager_, outbox(), below(4) != 0);
+                                              to_client_, manager_, outbox(), below(4) != 0, spin());
         if (cabled_) cable_.emplace(manager_->endpoint, below(2) == 0 ? 4096 : 0);
         begin();
     }
@@ -139,6 +140,8 @@ class Trial {
         limits.control_bytes = 65536U << below(6);
         return limits;
     }
+    /// Of the threads that read: from seed to seed they sleep, or look for the next message first.
+    Duration spin() const { return seed_ % 2 == 0 ? Duration{50us} : Duration{}; }
     std::size_t size() {
         const auto most = below(3) == 0 ? largest_ : std::min<std::size_t>(largest_, 2000);
         return 1 + below(below(8) == 0 ? most : std::max<std::size_t>(most / 4, 1));
@@ -404,6 +407,7 @@ class Trial {
         claims_.hold(manager.expired() && client.expired(), "nothing keeps an end that is no longer used");
     }
 
+    const std::uint64_t seed_;
     SeededRandom random_;
     Reached& reached_;
     const std::size_t largest_;

@@ -34,13 +34,14 @@ class ManagerEnd final : public entity_manager::DirectEvents,
                          private entity_manager::RelayedWay {
   public:
     ManagerEnd(const Clock& clock, Activity& activity, Relay& relay, Claims& claims, Book& hears, Book& sends,
-               entity_manager::Inbox::Bounds bounds)
+               entity_manager::Inbox::Bounds bounds, Duration spin)
         : clock_(clock),
           activity_(activity),
           relay_(relay),
           claims_(claims),
           hears_(hears),
           sends_(sends),
+          spin_(spin),
           inbox_(bounds) {
         desk_.setEntity(kEntity);
     }
@@ -48,7 +49,7 @@ class ManagerEnd final : public entity_manager::DirectEvents,
     /// Once.
     void start() {
         door_ = std::make_unique<entity_manager::DataDoor>(strand_, test::loopbackAddress(), 0, kEntity,
-                                                           clock_, weak_from_this());
+                                                           spin_, clock_, weak_from_this());
         endpoint = test::loopbackAddress() + ":" + std::to_string(door_->port());
     }
     /// As EntityManager::stop(), with whatever is under way.
@@ -315,6 +316,7 @@ class ManagerEnd final : public entity_manager::DirectEvents,
     Relay& relay_;
     Claims& claims_;
     Book &hears_, &sends_;
+    const Duration spin_;
     entity_manager::Inbox inbox_;
     asio::thread_pool executor_{1};
     asio::strand<entity_manager::CallerFirst> strand_{
