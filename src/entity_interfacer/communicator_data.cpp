@@ -234,10 +234,10 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
         link->cut(std::string("data connection: ") + std::strerror(errno));
     if (got <= 0) return stop_wake_.wake();
     link->data_reader.filled(static_cast<std::size_t>(got));
+    proto::EmToEi message;
     while (!link->lost()) {
         const auto payload = link->data_reader.nextView();
         if (!payload) break;
-        proto::EmToEi message;
         if (!message.ParseFromArray(payload->data(), static_cast<int>(payload->size())))
             link->cut("malformed message on the data connection");
         else

@@ -119,6 +119,8 @@ class EntityManager final : public ServerEvents,
     Inbox::Verdict passSignal(Inbox::Signal kind, Inbox::Event event, SenderKey from = kServersOwn);
     /// On the strand, of one that came by the servers.
     void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes);
+    /// On the strand, of one that came by the direct path. Whether afterEvents() has nothing to look at.
+    bool handleDirect(const Id128& path, direct::Keeping keeping, Header& head, std::string& bytes);
     template <class Use>
     void onStrand(Use use);
     /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor.
@@ -128,7 +130,7 @@ class EntityManager final : public ServerEvents,
     /// An Ice thread may run it: what escaped here would be swallowed there, and leave a manager that hears
     /// nothing.
     void drain() noexcept;
-    void hearServer();
+    bool hearServer();
     void afterEvents();
     /// Messages of the direct path wait for room, and there is some.
     void letDirectGoOn();
@@ -157,6 +159,8 @@ class EntityManager final : public ServerEvents,
     std::atomic<bool> server_heard_{false};    // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};         // a control overflow on its way to the strand
     std::optional<std::size_t> direct_waits_;  // the bytes for which the direct path needs room
+    int passed_on_ = 0;                        // messages of this turn that have changed nothing here
+    bool direct_changed_ = false;              // by what came by the direct path in this turn
     bool latched_ = false;
     bool stopped_ = false;
     std::unique_ptr<DatagramDesk> datagrams_;  // last, so that its thread ends first

@@ -117,7 +117,9 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     bool send(const proto::EmToEi& message) {
         const auto peer = peer_;
         if (!peer) return true;
-        std::string frame;
+        const bool idle = peer->writing.empty();  // nothing waits
+        std::string waits;
+        auto& frame = idle ? peer->writing : waits;
         if (!appendFrameOf(frame, message)) {
             refused({RefusalCode::TooLarge,
                      "a message to the robot application exceeds 1 MiB: send less at once",
@@ -128,6 +130,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         if (message.has_task() && message.task().stop_generation() > announced_.load()) {
             announce(message.task().stop_generation());
             beat();
+        }
+        if (idle) {
+            writeNow(peer);
+            return true;
         }
         const auto full = [&] {
             return peer->queued_bytes + peer->writing.size() + frame.size() > kQueueBytes ||
@@ -150,7 +156,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         peer->queued_bytes += frame.size();
         if (message.has_raw()) ++peer->queued_raw;
         peer->queued.push_back({std::move(frame), message.has_raw()});
-        if (peer->writing.empty()) writeNext(peer);
         return true;
     }
     std::uint64_t rawDropped() const { return raw_dropped_; }
@@ -202,7 +207,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         };
         std::deque<Queued> queued;
         std::size_t queued_bytes = 0, queued_raw = 0;
-        std::string writing;
+        std::string writing;  // while it is empty, so is the queue
         bool signal_ended = false,
              data_ended = false;  // after one of them last words on the other are awaited
         std::string parting;      // why the application ends the link, in its own words
@@ -494,10 +499,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
 
     /// False when the link has ended meanwhile.
     bool deliver(const std::shared_ptr<Peer>& peer, FrameReader& reader, bool signal) {
+        proto::EiToEm message;
         while (peer_ == peer) {
             const auto payload = reader.nextView();
             if (!payload) break;
-            proto::EiToEm message;
             const bool parsed = message.ParseFromArray(payload->data(), static_cast<int>(payload->size()));
             const bool is_signal = message.has_beat() || message.has_stop_done() || message.has_end();
             if (!parsed || message.has_welcome() ||
@@ -546,13 +551,21 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 peer->queued.pop_front();
             } while (!peer->queued.empty() &&
                      peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
-            // The end of an asynchronous write would be a turn of the strand, on another thread.
-            const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
-                                     MSG_DONTWAIT | MSG_NOSIGNAL);
-            if (sent != static_cast<ssize_t>(peer->writing.size()))
-                return writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
-            peer->writing.clear();
+            if (!writeNow(peer)) return;
         }
+    }
+
+    /// What is being written, as far as the socket takes it at once; whether that is all. The end of an
+    /// asynchronous write would be a turn of the strand, on another thread.
+    bool writeNow(const std::shared_ptr<Peer>& peer) {
+        const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
+                                 MSG_DONTWAIT | MSG_NOSIGNAL);
+        if (sent == static_cast<ssize_t>(peer->writing.size())) {
+            peer->writing.clear();
+            return true;
+        }
+        writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
+        return false;
     }
 
     /// When the socket takes it. A failure is told here, too: never from within send().
