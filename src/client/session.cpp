@@ -137,7 +137,7 @@ Result<void> Client::Session::connect() {
         // A port of TLS waits for the other side to begin, and so does a client of TCP.
         if (refusal.code == RefusalCode::TimedOut && !routed &&
             !transport::parseEndpoint(options_.server).tls)
-            refusal.message += " Or is TLS spoken there (ssl://HOST:PORT)?";
+            refusal.message += "; or is TLS spoken there (ssl://HOST:PORT)?";
         if (refusal.code == RefusalCode::NotConnected || refusal.code == RefusalCode::TimedOut) {
             refusal.code = RefusalCode::Unavailable;
         }
