@@ -21,12 +21,12 @@ constexpr int kOpenings = 8;         // of direct paths that wait for the strand
 }  // namespace
 
 EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
-                             std::shared_ptr<ServerCommunicators> ice, bool plain_way)
+                             std::shared_ptr<ServerCommunicators> ice, WayToServer way)
     : strand_(CallerFirst::over(std::move(executor))),
       name_(std::move(name)),
       clock_(clock),
       ice_(std::move(ice)),
-      plain_way_(plain_way),
+      way_(way),
       timer_(strand_, clock_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
@@ -35,8 +35,11 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
                                                      const BackEndFactory& back_end, const Clock& clock,
                                                      RandomSource& random, Storage& storage,
                                                      ResourceStore& resources, Journal* journal) {
-    const std::shared_ptr<EntityManager> self(new EntityManager(
-        std::move(executor), settings.application, clock, ice, !server.tls && server.router.empty()));
+    const std::shared_ptr<EntityManager> self(new EntityManager(std::move(executor), settings.application,
+                                                                clock, ice,
+                                                                !server.router.empty() ? WayToServer::Router
+                                                                : server.tls           ? WayToServer::Tls
+                                                                                       : WayToServer::Plain));
     self->back_end_ = back_end(self->strand_, self->stop_generations_, clock, *self);
     auto identity = identityIn(storage, random);
     server.secret = std::move(identity.secret);
@@ -90,10 +93,11 @@ void EntityManager::receiveDatagrams(const DatagramSettings& settings, const Clo
 }
 
 void EntityManager::offerDirect(const DirectSettings& settings) {
-    // What is TLS to the server is not plain to a client, and who comes through a router reaches no endpoint
-    // behind it.
-    if (plain_way_ && settings.offered)
-        doors_ = std::make_unique<DirectDoors>(strand_, settings, ice_, uuid(), clock_, weak_from_this());
+    // What is TLS to the server is TLS to a client, and who comes through a router reaches no endpoint behind
+    // it.
+    if (way_ != WayToServer::Router && settings.offered)
+        doors_ = std::make_unique<DirectDoors>(strand_, settings, ice_, uuid(), clock_, weak_from_this(),
+                                               way_ == WayToServer::Tls);
 }
 
 void EntityManager::start() {

@@ -64,8 +64,9 @@ class EntityManager final : public ServerEvents,
     const DatagramDesk* datagrams() const { return datagrams_.get(); }
 
     /// Before start(): the holder may talk to it without the servers in between (docs/reference/direct.md).
-    /// Costs two threads, that of the signal lane and one that watches its port. Without effect where the way
-    /// to the server is TLS or leads through a router.
+    /// Costs three threads: that of the signal lane, one that watches its port, and one that reads data;
+    /// where the way to the server is TLS, so is this one, and one more sets up its connections. Without
+    /// effect where the way to the server leads through a router.
     void offerDirect(const DirectSettings& settings);
     /// Whether the holder does; any thread, as of the last event.
     bool direct() const { return direct_.load(); }
@@ -102,8 +103,9 @@ class EntityManager final : public ServerEvents,
     void directClosed(const Id128& path, const std::string& why) override;
 
   private:
+    enum class WayToServer : std::uint8_t { Plain, Tls, Router };
     EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
-                  std::shared_ptr<ServerCommunicators> ice, bool plain_way);
+                  std::shared_ptr<ServerCommunicators> ice, WayToServer way);
 
     // BackEndEvents, on the strand.
     void onLinkUp() override;
@@ -145,7 +147,7 @@ class EntityManager final : public ServerEvents,
     StopGenerations stop_generations_;
     BackEnd back_end_;
     const std::shared_ptr<ServerCommunicators> ice_;
-    const bool plain_way_;  // to the server: neither TLS nor a router
+    const WayToServer way_;
     std::unique_ptr<EntityCommunicator> server_;
     std::unique_ptr<DirectDesk> direct_desk_;  // between it and the core
     std::unique_ptr<DirectDoors> doors_;       // null: no direct path is offered

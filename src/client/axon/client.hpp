@@ -41,8 +41,8 @@ struct Options {
     bool await_entities = true;
     /// If true, the library talks straight to the Entity Managers of the entities that it holds, where they
     /// offer that and can be reached. If false, every message goes through the servers. Lease, refusals and
-    /// order of messages are the same either way. If the server is reached over TLS or through a router,
-    /// every message goes through the servers (docs/reference/direct.md).
+    /// order of messages are the same either way. If the server is reached over TLS, so are they; if through
+    /// a router, every message goes through the servers (docs/reference/direct.md).
     bool direct = true;
     /// At most this many direct paths. The other entities are reached through the servers. A direct path
     /// costs two connections at each end.

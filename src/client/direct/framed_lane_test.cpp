@@ -6,6 +6,7 @@
 #include <arpa/inet.h>
 #include <gtest/gtest.h>
 #include <netinet/in.h>
+#include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
 
@@ -15,6 +16,8 @@
 #include <vector>
 
 #include "direct/lane/frames.hpp"
+#include "direct/lane/tls_channel.hpp"
+#include "support/certificate_folder.hpp"
 #include "support/loopback.hpp"
 #include "support/tcp_silence.hpp"
 
@@ -113,7 +116,7 @@ class FramedLaneTest : public ::testing::TestWithParam<std::chrono::microseconds
         EXPECT_TRUE(socket.ok());
         const auto its = std::make_shared<direct::Claim>(claim);
         auto lane = std::make_shared<FramedLane>(
-            readers, std::move(socket).value(),
+            readers, std::move(socket).value(), speaks,
             direct::lane::ClientOpening(
                 claim,
                 [its](const Id128& nonce) {
@@ -164,6 +167,9 @@ class FramedLaneTest : public ::testing::TestWithParam<std::chrono::microseconds
     }
 
     SteadyClock clock;
+    FramedLane::Speaks speaks = [](direct::lane::Wire& socket) {
+        return std::make_unique<direct::lane::PlainChannel>(socket);
+    };
     SeededRandom random{1};
     direct::Claim claim{Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
     std::shared_ptr<LaneReaders> readers = std::make_shared<LaneReaders>(clock, GetParam());
@@ -499,6 +505,130 @@ TEST_P(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
 
 INSTANTIATE_TEST_SUITE_P(Threads, LaneReadersTest, kSpins, kSpinName);
 INSTANTIATE_TEST_SUITE_P(Threads, FramedLaneTest, kSpins, kSpinName);
+
+/// An Entity Manager's end of a lane over TLS.
+class TlsManager {
+  public:
+    TlsManager(Descriptor socket, const std::shared_ptr<const direct::lane::Tls>& tls)
+        : socket_(std::move(socket)), channel_(tls->fromCaller(socket_)) {}
+    /// Until the handshake is over; whether it succeeded.
+    bool shakeHands() {
+        while (state_ == Channel::State::Opening && receive()) {
+        }
+        return state_ == Channel::State::Open;
+    }
+    void say(std::string_view bytes) {
+        while (!bytes.empty()) {
+            const auto taken = channel_->write({&bytes, 1});
+            ASSERT_TRUE(taken);
+            bytes.remove_prefix(*taken);
+        }
+    }
+    std::string hear() {
+        std::string frame;
+        while (!frames_.next(frame))
+            if (!receive()) return {};
+        return frame;
+    }
+
+  private:
+    using Channel = direct::lane::Channel;
+    bool receive() {
+        pollfd one{socket_.descriptor(), POLLIN, 0};
+        if (::poll(&one, 1, 5000) != 1) return false;
+        const auto came = socket_.read(channel_->room(frames_));
+        if (came.bytes > 0) state_ = channel_->filled(frames_, came.bytes);
+        return came.end == direct::lane::LaneSocket::Read::End::No;
+    }
+    direct::lane::LaneSocket socket_;
+    std::unique_ptr<Channel> channel_;
+    axon::FrameReader frames_{direct::lane::kMessageFrameMax};
+    Channel::State state_ = Channel::State::Opening;
+};
+
+class TlsLaneTest : public FramedLaneTest {
+  protected:
+    TlsLaneTest() {
+        speaks = [this](direct::lane::Wire& socket) { return client_->toEntity("robot", socket); };
+    }
+    std::string reasonOf(const std::shared_ptr<Path>& path) {
+        EXPECT_TRUE(waitUntil([&] { return path->over.load(); }));
+        const std::lock_guard lock(path->mutex);
+        return path->reason;
+    }
+    const test::CertificateFolder laboratory_;
+    const std::shared_ptr<const direct::lane::Tls> client_ = direct::lane::Tls::of(
+        laboratory_.credentials(certificates::Kind::Client, "ann"), test::CertificateFolder::now);
+    const std::shared_ptr<const direct::lane::Tls> robot_ = direct::lane::Tls::of(
+        laboratory_.credentials(certificates::Kind::Entity, "robot"), test::CertificateFolder::now);
+};
+
+INSTANTIATE_TEST_SUITE_P(, TlsLaneTest, ::testing::Values(std::chrono::microseconds{0}),
+                         [](const auto&) { return "Sleeping"; });
+
+TEST_P(TlsLaneTest, OpensAndCarriesMessagesBothWays) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    TlsManager manager(accept(), robot_);
+    ASSERT_TRUE(manager.shakeHands());
+    ManagerOpening opening(Id128::random(random));
+    manager.say(opening.greeting());
+    const auto heard = opening.onFrame(manager.hear());
+    ASSERT_EQ(heard.index(), 0U);
+    manager.say(
+        opening.admit(direct::proofOf(std::get<0>(heard).claim, direct::Prover::EntityManager, kKey)));
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    std::string burst;
+    for (std::int64_t i = 1; i <= 1000; ++i)
+        burst += message(i, std::string(static_cast<std::size_t>(i * i % 3000), 'x'));
+    std::thread writes([&] {  // at the same time as the readers read
+        for (std::int64_t i = 1; i <= 50; ++i) {
+            Header head;
+            head.sequence = i;
+            lane->send(Keeping::Kept, head, std::make_shared<const std::string>(50'000, 'y'));
+        }
+    });
+    manager.say(burst);
+    for (std::int64_t i = 1; i <= 50; ++i) {
+        const auto frame = manager.hear();
+        ASSERT_TRUE(direct::lane::messageIn(frame));
+        EXPECT_EQ(direct::lane::messageIn(frame)->sequence, i);
+    }
+    writes.join();
+    ASSERT_TRUE(waitUntil([&] { return path->count() == 1000; }));
+    EXPECT_TRUE(path->inOrder());
+}
+
+TEST_P(TlsLaneTest, AnotherEntityIsNotTalkedTo) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    TlsManager manager(accept(),
+                       direct::lane::Tls::of(laboratory_.credentials(certificates::Kind::Entity, "left"),
+                                             test::CertificateFolder::now));
+    EXPECT_FALSE(manager.shakeHands());
+    EXPECT_NE(reasonOf(path).find("the entity 'left'; expected that of the entity 'robot'"),
+              std::string::npos)
+        << path->reason;
+}
+
+TEST_P(TlsLaneTest, WhoeverDoesNotSpeakTlsIsNotTalkedTo) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    const auto plain = accept();
+    say(plain, ManagerOpening(Id128::random(random)).greeting());
+    EXPECT_NE(reasonOf(path).find("does not speak TLS"), std::string::npos) << path->reason;
+}
+
+TEST_P(TlsLaneTest, AConnectionThatClosesInTheHandshakeIsOver) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    ::shutdown(accept().get(), SHUT_RDWR);
+    EXPECT_NE(reasonOf(path), "");
+    const auto silent = std::make_shared<Path>();
+    const auto later = begin(silent, 50ms);
+    const auto manager = accept();
+    EXPECT_EQ(reasonOf(silent), "no answer in time");
+}
 
 }  // namespace
 }  // namespace axon::client

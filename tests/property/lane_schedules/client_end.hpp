@@ -109,6 +109,7 @@ class LanePath final : public client::DirectPath,
                            around_.limits.window_bytes + 2 * direct::lane::kMessageFrameMax;
         auto lane = std::make_shared<client::FramedLane>(
             around_.readers, std::move(socket).value(),
+            [](direct::lane::Wire& its) { return std::make_unique<direct::lane::PlainChannel>(its); },
             direct::lane::ClientOpening(
                 claim(),
                 [weak = weak_from_this()](const Id128& nonce) {

@@ -3,6 +3,7 @@
 #include "entity_manager/links/direct/data_door.hpp"
 
 #include <gtest/gtest.h>
+#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <asio/post.hpp>
@@ -13,7 +14,9 @@
 #include <mutex>
 #include <vector>
 
+#include "support/certificate_folder.hpp"
 #include "support/lane_stranger.hpp"
+#include "support/log_lines.hpp"
 #include "support/loopback.hpp"
 #include "support/moved_clock.hpp"
 #include "support/tcp_silence.hpp"
@@ -89,8 +92,27 @@ struct Events final : DirectEvents {
     std::atomic<int> turns{0};
 };
 
-/// With a thread that spins, and with one that does not.
-class DataDoorTest : public ::testing::TestWithParam<std::chrono::microseconds> {
+using certificates::Kind;
+using direct::lane::Tls;
+
+const test::CertificateFolder kLaboratory;
+const std::shared_ptr<const Tls> kEntity =
+    Tls::of(kLaboratory.credentials(Kind::Entity, "robot"), test::CertificateFolder::now);
+const std::shared_ptr<const Tls> kClient =
+    Tls::of(kLaboratory.credentials(Kind::Client, "ann"), test::CertificateFolder::now);
+
+enum class Speaks { Plain, Tls };
+/// What is spoken, and whether the door's thread spins.
+struct Kinds {
+    Speaks speaks;
+    std::chrono::microseconds spin;
+};
+std::string nameOf(const testing::TestParamInfo<Kinds>& one) {
+    return std::string(one.param.speaks == Speaks::Tls ? "Tls" : "Plain") +
+           (one.param.spin == 0us ? "Sleeping" : "Spinning");
+}
+
+class DataDoorTest : public ::testing::TestWithParam<Kinds> {
   protected:
     ~DataDoorTest() override {
         onStrand([&] { door.shut(); });
@@ -106,7 +128,8 @@ class DataDoorTest : public ::testing::TestWithParam<std::chrono::microseconds> 
         done.get_future().wait();
     }
     std::unique_ptr<LaneStranger> knock() {
-        auto stranger = std::make_unique<LaneStranger>(endpoint);
+        auto stranger = std::make_unique<LaneStranger>(endpoint, tls() ? kClient.get() : nullptr, "robot");
+        EXPECT_TRUE(stranger->channelOpen());
         stranger->claim = {Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
         return stranger;
     }
@@ -130,12 +153,15 @@ class DataDoorTest : public ::testing::TestWithParam<std::chrono::microseconds> 
         return true;
     }
 
+    static bool tls() { return GetParam().speaks == Speaks::Tls; }
+
     SeededRandom random{1};
     test::MovedClock clock;
     asio::thread_pool executor{1};
     asio::strand<asio::any_io_executor> strand{executor.get_executor()};
     std::shared_ptr<Events> events = std::make_shared<Events>();
-    DataDoor door{strand, "127.0.0.1", 0, "the entity", GetParam(), clock, events};
+    DataDoor door{strand,          "127.0.0.1", 0,      "the entity",
+                  GetParam().spin, clock,       events, tls() ? kEntity : nullptr};
     const std::string endpoint = "127.0.0.1:" + std::to_string(door.port());
 };
 
@@ -273,7 +299,8 @@ TEST_P(DataDoorTest, AClaimMayComeByteByByte) {
 TEST_P(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
     const auto its = holder();
     std::vector<std::unique_ptr<LaneStranger>> silent;
-    for (int i = 0; i < 70; ++i) silent.push_back(knock());
+    // With TLS, in the middle of its handshake.
+    for (int i = 0; i < 70; ++i) silent.push_back(std::make_unique<LaneStranger>(endpoint));
     const auto began = clock.now();
     ASSERT_TRUE(waitUntil([&] {
         clock.advance(10ms);  // or no more of them are taken
@@ -350,8 +377,61 @@ TEST_P(DataDoorTest, MessagesInQuickSuccessionAreAnsweredOneByOne) {
     EXPECT_TRUE(inOrder());
 }
 
-INSTANTIATE_TEST_SUITE_P(Thread, DataDoorTest, ::testing::Values(0us, 50us),
-                         [](const auto& one) { return one.param == 0us ? "Sleeping" : "Spinning"; });
+INSTANTIATE_TEST_SUITE_P(, DataDoorTest,
+                         testing::Values(Kinds{Speaks::Plain, 0us}, Kinds{Speaks::Plain, 50us},
+                                         Kinds{Speaks::Tls, 0us}),
+                         nameOf);
+
+class TlsDoorTest : public DataDoorTest {};
+INSTANTIATE_TEST_SUITE_P(, TlsDoorTest, testing::Values(Kinds{Speaks::Tls, 0us}), nameOf);
+
+TEST_P(TlsDoorTest, ACertificateOfAnotherCaOrNoneIsTurnedAwayAndTheLogSaysWhy) {
+    const auto log = std::make_shared<test::LogLines>();
+    const auto before = spdlog::default_logger();
+    spdlog::set_default_logger(std::make_shared<spdlog::logger>("", log));
+    const test::CertificateFolder others;
+    auto stranger = others.credentials(Kind::Client, "ann");
+    stranger.authorities = kLaboratory.credentials(Kind::Client, "ann").authorities;
+    certificates::Credentials none;
+    none.authorities = stranger.authorities;
+    for (const auto& [its, why] : {std::pair{stranger, "of another CA"}, std::pair{none, "shown"}}) {
+        const auto tls = Tls::of(its, test::CertificateFolder::now);
+        LaneStranger knocks(endpoint, tls.get(), "robot");
+        EXPECT_TRUE(knocks.awaitClosed());
+        EXPECT_TRUE(waitUntil([&, expected = std::string(why)] { return log->has(expected); })) << log->all();
+    }
+    spdlog::set_default_logger(before);
+    EXPECT_EQ(events->openings, 0);
+}
+
+TEST_P(TlsDoorTest, WhoeverDoesNotSpeakTlsHearsNothingOfTheOpening) {
+    LaneStranger plain(endpoint);
+    plain.say(direct::lane::frameOf(direct::lane::Kind::Claim, std::string(92, 'c')));
+    EXPECT_FALSE(plain.awaitFrame()) << "no nonce";
+    EXPECT_EQ(events->openings, 0);
+}
+
+TEST_P(TlsDoorTest, HandshakesThatAreNotFinishedHoldUpNoHolder) {
+    const auto its = holder();
+    std::vector<std::unique_ptr<LaneStranger>> half;
+    for (std::int64_t i = 1; i <= 40; ++i) {
+        half.push_back(std::make_unique<LaneStranger>(endpoint));
+        half.back()->say(std::string("\x16\x03\x01\x02\0", 5));  // of a record that does not follow
+        send(*its, i);
+        ASSERT_TRUE(waitUntil([&] { return events->count() == static_cast<std::size_t>(i); }));
+    }
+    EXPECT_TRUE(inOrder());
+    onStrand([&] { door.shut(); });
+    for (const auto& one : half) EXPECT_TRUE(one->awaitClosed());
+}
+
+TEST_P(TlsDoorTest, ARecordThatWasNotSealedByTheHolderEndsThePath) {
+    const auto its = holder();
+    its->sayInClear(std::string("\x17\x03\x03\0\x20", 5) + std::string(32, 'x'));
+    EXPECT_TRUE(its->awaitClosed());
+    ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; }));
+    EXPECT_EQ(events->count(), 0U);
+}
 
 }  // namespace
 }  // namespace axon::entity_manager

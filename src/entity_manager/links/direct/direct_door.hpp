@@ -36,6 +36,8 @@ struct DirectSettings {
 /// Where clients open direct paths: a port for each lane (docs/reference/direct.md), that of data by DataDoor
 /// and that of signals over Ice. The only file of the direct path at the Entity Manager that knows Ice.
 ///
+/// Both ports speak TLS, or neither does.
+///
 /// Where in the flow: beside EntityCommunicator. Threads: the strand's alone, and that of the signal lane's
 /// adapter, under SCHED_RR where permitted; what comes goes to `events`. Ownership: listens until shut(); the
 /// destructor waits until every opening is answered and joins the adapter's thread, so it runs neither on it
@@ -45,7 +47,8 @@ class DirectDoor {
   public:
     DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice, const std::string& address,
                const DirectSettings& settings, const std::string& entity, const Clock& clock,
-               const std::weak_ptr<DirectEvents>& events);
+               const std::weak_ptr<DirectEvents>& events,
+               const std::shared_ptr<const direct::lane::Tls>& tls);
     ~DirectDoor();
     DirectDoor(const DirectDoor&) = delete;
     DirectDoor& operator=(const DirectDoor&) = delete;
@@ -70,13 +73,15 @@ class DirectDoor {
 /// (DirectDoor).
 class DirectDoors {
   public:
+    /// `tls`: clients are to call by TLS, with the certificates of `ice`. Where these cannot be used, the log
+    /// says so, and nobody is offered a path.
     DirectDoors(asio::any_io_executor strand, DirectSettings settings,
                 std::shared_ptr<ServerCommunicators> ice, std::string entity, const Clock& clock,
-                std::weak_ptr<DirectEvents> events);
+                std::weak_ptr<DirectEvents> events, bool tls);
 
     /// There is a session with the server: listens at the address where the way there begins, or anew where
-    /// that is another one than before. The endpoints to tell holders, data and signals; empty, with a
-    /// warning in the log, when there are none.
+    /// that is another one than before. The endpoints to tell holders, data and signals: "host:port", or
+    /// "ssl://host:port"; empty, with a warning in the log, when there are none.
     std::pair<std::string, std::string> listen(const std::string& way_to_server);
     void shut();
     /// DirectEvents::directMsg() may take more again.
@@ -91,6 +96,8 @@ class DirectDoors {
     const std::string entity_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
+    const bool speaks_tls_;
+    std::shared_ptr<const direct::lane::Tls> tls_;  // null: plain, or its certificate cannot be used
     std::vector<std::unique_ptr<DirectDoor>> doors_;
     std::string listens_at_;  // empty: none is open
 };
