@@ -501,6 +501,7 @@ void Client::Session::onDirect(const Held& held, const std::string& data_endpoin
     };
     if (local(data_endpoint) && connection && !local(connection->peer())) return withdraw();
     const auto* const facts = core_.entities().facts(held.entity);
+    if (tls && facts == nullptr) return withdraw();  // no certificate could be that of this entity
     direct_.offer({held.entity, held.lease, key, core_.self().id, data_endpoint, signal_endpoint,
                    facts != nullptr ? facts->name : std::string()});
     threads_.timer.wake();

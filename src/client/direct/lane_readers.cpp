@@ -47,8 +47,9 @@ bool LaneReaders::start() {
     Descriptor sleepers;
     if (Spinner(spin_).spins()) {
         sleepers = Descriptor(::epoll_create1(EPOLL_CLOEXEC));
-        if (!sleepers.open() || !watch(sleepers.get(), EPOLL_CTL_ADD, set.get(), kAnyLane, kLanes))
-            return false;
+        // Without it they sleep in the first one, and do not spin.
+        if (sleepers.open() && !watch(sleepers.get(), EPOLL_CTL_ADD, set.get(), kAnyLane, kLanes))
+            sleepers = Descriptor();
     }
     if (!watch((sleepers.open() ? sleepers : set).get(), EPOLL_CTL_ADD, wake_->fd(), EPOLLIN, kWake))
         return false;
@@ -170,7 +171,10 @@ void LaneReaders::wakeSleepers(bool whether) const {
 int LaneReaders::takeOne(epoll_event& event) {
     std::array<epoll_event, 2> ready{};
     const int count = ::epoll_wait(epoll_.get(), ready.data(), static_cast<int>(ready.size()), 0);
-    if (count == 2) again(ready[1].data.u64);
+    if (count == 2) {
+        again(ready[1].data.u64);
+        wakeSleepers(true);  // it may be gone or read by now, and a third one ready
+    }
     event = ready[0];
     return std::min(count, 1);
 }

@@ -184,9 +184,14 @@ class TlsChannel final : public Channel {
             while (sealed < kSentAtOnce) {
                 const auto count = bytes.take(plain_);
                 if (count == 0) break;
-                if (gnutls_record_send(session_.get(), plain_.data(), count) != static_cast<ssize_t>(count)) {
-                    fail("the connection was lost");
-                    return std::nullopt;
+                // A record may have to be smaller than GnuTLS was asked for.
+                for (std::size_t at = 0; at < count;) {
+                    const auto sent = gnutls_record_send(session_.get(), plain_.data() + at, count - at);
+                    if (sent <= 0) {
+                        fail("the connection was lost");
+                        return std::nullopt;
+                    }
+                    at += static_cast<std::size_t>(sent);
                 }
                 sealed += count;
             }
@@ -241,7 +246,7 @@ class TlsChannel final : public Channel {
         int code = 0;
         do {
             code = gnutls_handshake(session_.get());
-        } while (isNothing(code));
+        } while (isNothing(code) || (code == GNUTLS_E_AGAIN && !in_.empty()));
         if (code < 0 && code != GNUTLS_E_AGAIN) {
             gnutls_alert_send_appropriate(session_.get(), code);
             flush();
@@ -261,12 +266,12 @@ class TlsChannel final : public Channel {
             } else if (count == 0) {
                 return fail("it closed the connection");
             } else if (count == GNUTLS_E_AGAIN) {
-                break;
+                if (in_.empty()) break;  // else it was a message of TLS itself, or an empty record
             } else if (!isNothing(count)) {
                 return fail(reasonOf(static_cast<int>(count)));
             }
         }
-        // New keys are answered; what the socket does not take goes with the next message.
+        // What the socket does not take goes with the next message.
         if (!flush() || out_.size() > kUnsentMax) fail("the connection was lost");
     }
 

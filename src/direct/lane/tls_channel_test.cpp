@@ -4,6 +4,7 @@
 #include "direct/lane/tls_channel.hpp"
 
 #include <gmock/gmock.h>
+#include <gnutls/gnutls.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -117,6 +118,91 @@ class TlsChannelTest : public testing::Test {
     const Credentials anns = credentials(ours, certificates::Kind::Client, "ann");
     WallTime now = kNow;
 };
+
+/// An Entity Manager of somebody else, which uses more of TLS 1.3 than ours: it is GnuTLS alone, between two
+/// memories.
+class OtherRobot {
+  public:
+    explicit OtherRobot(const Credentials& its) {
+        const auto datum = [](const std::string& text) {
+            return gnutls_datum_t{reinterpret_cast<unsigned char*>(const_cast<char*>(text.data())),
+                                  static_cast<unsigned int>(text.size())};
+        };
+        gnutls_certificate_allocate_credentials(&credentials_);
+        const auto certificate = datum(its.certificate), key = datum(its.key);
+        gnutls_certificate_set_x509_key_mem(credentials_, &certificate, &key, GNUTLS_X509_FMT_PEM);
+        gnutls_init(&session_, GNUTLS_SERVER | GNUTLS_NONBLOCK);
+        gnutls_priority_set_direct(session_, "NORMAL:-VERS-ALL:+VERS-TLS1.3", nullptr);
+        gnutls_credentials_set(session_, GNUTLS_CRD_CERTIFICATE, credentials_);
+        gnutls_transport_set_ptr(session_, this);
+        gnutls_transport_set_push_function(session_, [](void* self, const void* bytes, std::size_t count) {
+            static_cast<OtherRobot*>(self)->out_.append(static_cast<const char*>(bytes), count);
+            return static_cast<ssize_t>(count);
+        });
+        gnutls_transport_set_pull_function(session_, [](void* self, void* into, std::size_t count) {
+            return static_cast<OtherRobot*>(self)->pull(into, count);
+        });
+    }
+    ~OtherRobot() {
+        gnutls_deinit(session_);
+        gnutls_certificate_free_credentials(credentials_);
+    }
+    OtherRobot(const OtherRobot&) = delete;
+    OtherRobot& operator=(const OtherRobot&) = delete;
+
+    /// What it answers. Its tickets come with its last flight, as a part of the handshake.
+    std::string shakeHands(const std::string& heard) {
+        in_ += heard;
+        gnutls_handshake(session_);
+        return said();
+    }
+    void say(const std::string& bytes) { gnutls_record_send(session_, bytes.data(), bytes.size()); }
+    void changeKeys() { gnutls_session_key_update(session_, GNUTLS_KU_PEER); }
+    std::string said() { return std::exchange(out_, {}); }
+
+  private:
+    ssize_t pull(void* into, std::size_t count) {
+        if (in_.empty()) {
+            gnutls_transport_set_errno(session_, EAGAIN);
+            return -1;
+        }
+        const auto part = std::min(count, in_.size());
+        std::copy_n(in_.data(), part, static_cast<char*>(into));
+        in_.erase(0, part);
+        return static_cast<ssize_t>(part);
+    }
+    gnutls_certificate_credentials_t credentials_ = nullptr;
+    gnutls_session_t session_ = nullptr;
+    std::string in_, out_;
+};
+
+TEST_F(TlsChannelTest, WhatComesBehindMessagesOfTlsItselfIsNotLost) {
+    OtherRobot robot(robots);
+    End client(toRobot, tls(anns));
+    client.state = client.channel->filled(client.frames, 0);
+    while (!client.socket.sent.empty()) {
+        auto answer = robot.shakeHands(client.said());
+        if (client.state == State::Open) {  // with the tickets
+            std::string first;
+            appendFrame(first, "behind the tickets");
+            robot.say(first);
+            answer += robot.said();
+        }
+        client.hear(answer);
+        if (client.state == State::Open && client.socket.sent.empty()) break;
+    }
+    ASSERT_EQ(client.state, State::Open) << client.channel->why();
+    for (const auto* const text : {"behind new keys", "and again"}) {
+        std::string frame;
+        appendFrame(frame, text);
+        robot.changeKeys();
+        robot.say(frame);
+        client.hear(robot.said());
+        ASSERT_EQ(client.state, State::Open) << client.channel->why();
+        ASSERT_FALSE(client.heard.empty());
+        EXPECT_EQ(client.heard.back(), text);
+    }
+}
 
 TEST_F(TlsChannelTest, FramesOfBothSidesComeAsTheyWereSentHoweverTheBytesAreCut) {
     const std::vector<std::string> said{"a", std::string(300, 'b'), std::string(100'000, 'c'), "d"};

@@ -5,6 +5,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <cctype>
 #include <memory>
 #include <utility>
 
@@ -164,6 +165,12 @@ certificates::Credentials credentialsOf(const std::map<std::string, std::string>
         return certificates::readFile(folder / name,
                                       std::string("name a file of axon certs issue in ") + key);
     };
+    // What only IceSSL would check must not be left unchecked.
+    for (const auto& [key, set] : properties)
+        if (!set.empty() && (key.starts_with("IceSSL.TrustOnly") || key.starts_with("IceSSL.Revocation") ||
+                             key == "IceSSL.CertificateRevocationListFiles"))
+            throw certificates::Unusable(key + " is known to IceSSL only",
+                                         "leave it out, or everything stays relayed");
     certificates::Credentials its;
     its.authorities = read("IceSSL.CAs", value("IceSSL.CAs"));
     const auto certificate = value("IceSSL.CertFile");
@@ -173,8 +180,10 @@ certificates::Credentials credentialsOf(const std::map<std::string, std::string>
     const auto verifies = value("IceSSL.VerifyPeer", "2");
     using Peer = certificates::Credentials::Peer;
     its.caller = verifies == "0" ? Peer::NotAsked : verifies == "1" ? Peer::Asked : Peer::Required;
-    const auto least = value("IceSSL.ProtocolVersionMin", "tls1_3");
-    its.tls_1_2 = least != "tls1_3" && least != "TLS1_3";
+    auto least = value("IceSSL.ProtocolVersionMin", "tls1_3");
+    std::transform(least.begin(), least.end(), least.begin(),
+                   [](unsigned char letter) { return static_cast<char>(std::tolower(letter)); });
+    its.tls_1_2 = !least.ends_with("1_3");  // tls1_3 and tlsv1_3
     return its;
 }
 

@@ -50,6 +50,7 @@ constexpr Duration kTold = 11s;  // after the last connection was closed: the lo
 constexpr transport::ConnectionBounds kBounds{
     .strangers_of_one_address = 64, .strangers = 256, .to_log_in = 10s, .silence = 60s};
 constexpr int kTlsRefusalsPerSecond = 10;  // that the log tells
+constexpr std::size_t kStrangerBytes = 64 * 1024;
 constexpr const char* kHolderClosed = "its holder's end is closed";
 
 /// The thread that reads and accepts for one door, and waits until something can be written. It takes the
@@ -213,6 +214,9 @@ class DataDoor::Connection final : public DirectLane,
                 self->reading_ = false;
                 if (self->over_) return;
                 if (error) return self->end(kHolderClosed);
+                // Over TLS that need not be a frame.
+                if (self->isStranger() && (self->heard_ += count) > kStrangerBytes)
+                    return self->end("it makes no claim");
                 const bool open = self->channel_->filled(self->reader_, count) != Channel::State::Over;
                 if (self->deliver() && open) return self->read();
                 if (!open) self->end(self->channel_->why());
@@ -259,6 +263,7 @@ class DataDoor::Connection final : public DirectLane,
     Header head_;
     std::string bytes_;
     std::optional<Keeping> refused_;  // it is still there: it found no room
+    std::size_t heard_ = 0;           // bytes, of a stranger
     bool stalled_ = false;            // until there is some
     bool reading_ = false, awaiting_writable_ = false;
     bool handshaking_;

@@ -49,8 +49,12 @@ transport::ConnectionLimits& ServerCommunicators::limits() {
 void ServerCommunicators::destroy() {
     data_->destroy();
     signal_->destroy();
-    const std::lock_guard lock(mutex_);
-    if (const auto& tls = direct_tls_.communicator()) tls->destroy();
+    std::shared_ptr<Ice::Communicator> tls;
+    {
+        const std::lock_guard lock(mutex_);
+        tls = direct_tls_.communicator();
+    }
+    if (tls) tls->destroy();  // which joins threads that may want the mutex
 }
 
 }  // namespace axon::entity_manager
