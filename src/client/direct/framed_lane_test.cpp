@@ -279,6 +279,7 @@ TEST_P(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThrea
     ASSERT_TRUE(waitUntil([&] { return path->count() == 200; }));
     EXPECT_TRUE(path->inOrder());
     barrier.letGo();
+    readers->end();  // before what the callback uses
 }
 
 // A thread that spins keeps the kernel from waking the other one, but only until it has found something.
@@ -410,6 +411,7 @@ TEST_P(FramedLaneTest, ADeadlineOfOneLanePassesWhileACallbackOfAnotherDoesNotRet
     }
     EXPECT_FALSE(blocked->over);
     barrier.letGo();
+    readers->end();  // before what the callback uses
 }
 
 // Nothing ends such a connection but the kernel, whose half minute is shortened here. The signal lane, which
