@@ -104,8 +104,9 @@ Trust::Verdict Trust::judgeDer(const std::vector<std::string_view>& chain, WallT
 
 std::string mismatch(const Certificate& its, Kind kind, std::string_view name) {
     if (its.unit == toString(kind) && its.name == name) return {};
-    return "is that of the " + (its.unit.empty() ? "unknown kind" : shown(its.unit)) + " " + shown(its.name) +
-           "; expected that of the " + toString(kind) + " " + shown(std::string(name));
+    const bool known = kindOf(its.unit).has_value();
+    return "is that of the " + (known ? its.unit : "unknown kind " + shown(its.unit)) + " " +
+           shown(its.name) + "; expected that of the " + toString(kind) + " " + shown(std::string(name));
 }
 
 }  // namespace axon::certificates
