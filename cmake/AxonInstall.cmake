@@ -37,7 +37,7 @@ install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/" DESTINATION "${CMAKE_INSTALL
   COMPONENT libaxon-entity-interfacer-dev PATTERN "examples/CMakeLists.txt" EXCLUDE)
 
 if(AXON_ICE)
-  # The client library is static (ADR 0031). What it consists of is installed with it, but is not for others to link.
+  # The client library is static (ADR 0034). What it consists of is installed with it, but is not for others to link.
   set(client_parts axon_certificates axon_client_core axon_collaboration axon_common axon_datagrams axon_direct axon_direct_lane
     axon_frame axon_host axon_messages axon_proto axon_slice axon_transport)
   list(APPEND packages libaxon-client-dev)

@@ -102,7 +102,8 @@ class BareDebian:
             (self.cache / "complete").touch()
         for name in ("changes", "work", "root"):
             (self.folder / name).mkdir()
-        place = f"lowerdir={self.base},upperdir={self.folder}/changes,workdir={self.folder}/work"
+        # Nothing of it outlasts the test, so dpkg does not wait for the disk (volatile).
+        place = f"lowerdir={self.base},upperdir={self.folder}/changes,workdir={self.folder}/work,volatile"
         done = subprocess.run(["mount", "-t", "overlay", "overlay", "-o", place, self.root], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise Unavailable(f"there are no overlays here: {done.stderr.strip()}")
@@ -114,7 +115,7 @@ class BareDebian:
 
     def run_outside(self, *words):
         """In the folder, but with this machine's network, and without an init."""
-        command = ["unshare", "--mount", "--pid", "--fork", "sh", "-c",
+        command = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "sh", "-c",
                    'mount -t proc proc "$0/proc" && cp -L /etc/resolv.conf "$0/etc/resolv.conf" && mount --bind "$1" "$0/mnt" && root=$0 && shift && exec chroot "$root" "$@"',
                    self.root, self.packages, *words]
         done = subprocess.run(command, env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"},
@@ -132,7 +133,7 @@ class BareDebian:
         self.group = groups / f"axon-test-{os.getpid()}"
         self.group.mkdir()
         self.starter = subprocess.Popen(
-            ["sh", "-c", 'echo $$ >"$0/cgroup.procs" && exec "$@"', self.group, "unshare", *NAMESPACES, "--cgroup", "--propagation", "private", "--fork", "--kill-child",
+            ["setpriv", "--pdeathsig", "KILL", "sh", "-c", 'echo $$ >"$0/cgroup.procs" && exec "$@"', self.group, "unshare", *NAMESPACES, "--cgroup", "--propagation", "private", "--fork", "--kill-child",
              "sh", "-c", BOOT, "sh", self.root, self.packages], stdin=subprocess.DEVNULL, stdout=self.log, stderr=subprocess.STDOUT)
         try:
             wait_until(self.has_booted, "systemd runs", seconds)

@@ -8,12 +8,14 @@ They are made from the programs of BUILD. The system is made once by debootstrap
 init of its own in namespaces; nothing of it reaches this machine. Where that cannot be done, the tests are skipped with
 the reason. --update writes tests/install/packages.txt anew, the list of the files of each package.
 --packages takes packages that are there, such as those of tools/make_packages, instead of making them.
+SIGTERM ends the test that runs, and with it the system that it booted and its mounts.
 """
 import hashlib
 import os
 import pathlib
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -66,7 +68,20 @@ def digest(file):
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-class Packages(unittest.TestCase):
+class Test(unittest.TestCase):
+    """After SIGTERM, unittest cleans up what runs, and begins no other test."""
+
+    def run(self, result=None):
+        def end(number, _frame):
+            signal.signal(number, signal.SIG_IGN)
+            result.stop()
+            sys.exit("ended by a signal")
+
+        signal.signal(signal.SIGTERM, end)
+        return super().run(result)
+
+
+class Packages(Test):
     def test_have_the_files_that_are_expected(self):
         lines = []
         for name, deb in sorted(DEBS.items()):
@@ -102,7 +117,7 @@ class Packages(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stdout)
 
 
-class BareSystem(unittest.TestCase):
+class BareSystem(Test):
     """In this order, on one system: install, use, upgrade, remove, purge."""
 
     def test_installs_uses_upgrades_and_removes(self):
