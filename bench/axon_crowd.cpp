@@ -158,6 +158,7 @@ std::unique_ptr<client::Client> connectClient(const std::string& server, Variant
     auto options = fs::exists(server) ? configured(server) : patient();
     options.direct = isDirect(variant);
     options.direct_paths = 4096;
+    options.direct_spin = directSpin();
     if (!fs::exists(server)) options.server = server;
     return connectClient(std::move(options));
 }

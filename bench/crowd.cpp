@@ -7,6 +7,7 @@
 
 #include <asio/post.hpp>
 #include <asio/thread_pool.hpp>
+#include <cstdlib>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -158,6 +159,22 @@ class MemoryStorage final : public Storage, public ResourceStore {
 
 }  // namespace
 
+namespace {
+
+// Children inherit it.
+constexpr const char* kSpin = "AXON_BENCH_DIRECT_SPIN_US";
+
+}  // namespace
+
+void setDirectSpin(std::chrono::microseconds longest) {
+    ::setenv(kSpin, std::to_string(longest.count()).c_str(), 1);
+}
+
+std::chrono::microseconds directSpin() {
+    const char* const set = std::getenv(kSpin);
+    return set == nullptr ? client::Options{}.direct_spin : std::chrono::microseconds(std::atoi(set));
+}
+
 int runCrowd(const CrowdWish& wish) {
     spdlog::set_level(spdlog::level::err);
     transport::lockMemory();  // as the daemon does
@@ -217,6 +234,7 @@ int runCrowd(const CrowdWish& wish) {
         if (isDirect(wish.variant)) {
             DirectSettings direct;
             direct.offered = true;
+            direct.spin = directSpin();
             member.manager->offerDirect(direct);
         }
         member.manager->start();

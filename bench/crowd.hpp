@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <chrono>
 #include <cstdint>
 #include <string>
 
@@ -20,6 +21,11 @@ inline constexpr bool isDirect(Variant variant) {
 inline constexpr bool hasRobots(Variant variant) {
     return variant == Variant::Robots || variant == Variant::DirectRobots;
 }
+
+/// How long the threads that read direct paths may spin, in this process and in its children that begin
+/// later. Until it is set, that of the library.
+void setDirectSpin(std::chrono::microseconds longest);
+std::chrono::microseconds directSpin();
 
 struct CrowdWish {
     std::string board_file;

@@ -47,6 +47,7 @@ struct Wish {
     std::vector<std::string> cores;  // empty: one, and two where there are two
     std::vector<std::string> beside;
     int pair_rounds = 3;
+    std::int64_t spin = directSpin().count();
     std::string json, plot;
 };
 
@@ -466,9 +467,11 @@ std::vector<std::string> choicesOf(const Wish& wish, const Placement& placement)
 int run(Wish wish) {
     Placement placement;
     wish.cores = choicesOf(wish, placement);
+    setDirectSpin(std::chrono::microseconds(wish.spin));
     Report report(wish.json, "peers",
                   {{"entities", wish.sizes},
                    {"cores", wish.cores},
+                   {"direct_spin_us", wish.spin},
                    {"batches", wish.batches},
                    {"seconds", wish.seconds},
                    {"warm_up", kWarmUp},
@@ -593,6 +596,14 @@ Experiment declarePeers(CLI::App& app) {
                      "Rounds of round trips next to ddsperf; 0 = none [3]")
         ->check(CLI::Range(0, 1000).description(""))
         ->type_name("COUNT");
+    command
+        ->add_option(
+            "--direct-spin", wish->spin,
+            "How long the threads that read direct paths may spin before they sleep, at both ends, in "
+            "microseconds; 0 = not [" +
+                std::to_string(wish->spin) + "]")
+        ->check(CLI::Range(0, 50).description(""))
+        ->type_name("US");
     command
         ->add_option(
             "--beside", wish->beside,

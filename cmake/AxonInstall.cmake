@@ -62,20 +62,7 @@ if(AXON_ICE)
   install(FILES "${config}/server.cfg" "${config}/clientrouter.cfg" DESTINATION "${config_to}" COMPONENT axon-server)
   install(FILES "${PROJECT_SOURCE_DIR}/api/schema/samples/valid/figure_a_1.xml" DESTINATION "${config_to}/globalservices" COMPONENT axon-server)
   install(FILES "${config}/entitymanager.cfg" DESTINATION "${config_to}" COMPONENT axon-entity-manager)
-  if(NOT AXON_SANITIZE) # nobody installs an instrumented program
-    set(completion "${PROJECT_BINARY_DIR}/completion")
-    add_custom_command(OUTPUT "${completion}/axon" "${completion}/_axon" "${completion}/axon.fish"
-      COMMAND "${CMAKE_COMMAND}" -E make_directory "${completion}"
-      COMMAND axon completion bash > "${completion}/axon"
-      COMMAND axon completion zsh > "${completion}/_axon"
-      COMMAND axon completion fish > "${completion}/axon.fish"
-      DEPENDS axon VERBATIM COMMENT "Completion of the axon command")
-    add_custom_target(axon_completion ALL DEPENDS "${completion}/axon")
-    add_dependencies(installed_programs axon_completion)
-    install(FILES "${completion}/axon" DESTINATION "${CMAKE_INSTALL_DATADIR}/bash-completion/completions" COMPONENT axon)
-    install(FILES "${completion}/_axon" DESTINATION "${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions" COMPONENT axon)
-    install(FILES "${completion}/axon.fish" DESTINATION "${CMAKE_INSTALL_DATADIR}/fish/vendor_completions.d" COMPONENT axon)
-  endif()
+  add_dependencies(installed_programs axon-manual) # src/cli installs manual pages and completion
 
   # What measures, breaks and simulates.
   list(APPEND packages axon-tools)

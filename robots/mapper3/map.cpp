@@ -247,7 +247,18 @@ std::vector<Point> Area::corners() const {
 const Place* Map::goal(std::string_view wanted) const {
     const auto found =
         std::find_if(goals.begin(), goals.end(), [&](const Place& g) { return g.name == wanted; });
-    return found == goals.end() ? nullptr : &*found;
+    if (found != goals.end()) return &*found;
+    const auto same = [wanted](const Place& g) {
+        return std::equal(g.name.begin(), g.name.end(), wanted.begin(), wanted.end(), [](char a, char b) {
+            const auto lower = [](char c) {
+                return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+            };
+            return lower(a) == lower(b);
+        });
+    };
+    const auto first = std::find_if(goals.begin(), goals.end(), same);
+    if (first == goals.end()) return nullptr;
+    return std::any_of(std::next(first), goals.end(), same) ? nullptr : &*first;
 }
 
 bool Map::forbidden(const Point& point) const {

@@ -60,8 +60,10 @@ struct Map {
     std::vector<Area> obstacles;  ///< Sim.BoxObstacle: boxes that stand in the way, unknown to the robot
     std::vector<Cairn> others;
 
-    const Place* goal(std::string_view name) const;  ///< nullptr: there is none
-    bool forbidden(const Point& point) const;        ///< whether it lies in a forbidden area
+    /// By its exact name, else the only one whose name differs in upper and lower case alone; nullptr if
+    /// there is none.
+    const Place* goal(std::string_view name) const;
+    bool forbidden(const Point& point) const;  ///< whether it lies in a forbidden area
     /// The corners of a rectangle around all lines and points; equal where there are none.
     Line bounds() const;
 };

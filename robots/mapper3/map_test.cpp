@@ -52,6 +52,20 @@ std::string complaint(std::string_view text) {
     return "";
 }
 
+TEST(Mapper3, AGoalIsFoundInUpperOrLowerCaseIfOnlyOneIsMeant) {
+    Map map;
+    map.goals.resize(3);
+    map.goals[0].name = "Door";
+    map.goals[1].name = "DOOR";
+    map.goals[2].name = "Desk";
+    EXPECT_EQ(map.goal("Door"), &map.goals[0]);
+    EXPECT_EQ(map.goal("DOOR"), &map.goals[1]);
+    EXPECT_EQ(map.goal("door"), nullptr) << "it may mean two goals";
+    EXPECT_EQ(map.goal("dESK"), &map.goals[2]);
+    EXPECT_EQ(map.goal("Desk 2"), nullptr);
+    EXPECT_EQ(map.goal(""), nullptr);
+}
+
 TEST(Mapper3, EveryKindOfEntryIsRead) {
     const auto map = parseMap(kMap, "a.map");
     EXPECT_EQ(map.lines, (std::vector<Line>{{{0, 0}, {5000, 0}}, {{5000, 0}, {5000, 4000}}}));
@@ -62,6 +76,7 @@ TEST(Mapper3, EveryKindOfEntryIsRead) {
     EXPECT_FALSE(map.goal("Room 1")->heading_deg);
     EXPECT_EQ(map.goal("Door")->heading_deg, -90);
     EXPECT_EQ(map.goal("Window"), nullptr);
+    EXPECT_EQ(map.goal("room 1"), map.goal("Room 1"));
     ASSERT_EQ(map.homes.size(), 1U);
     EXPECT_EQ(map.homes[0].at, (Point{100, 200}));
     EXPECT_EQ(map.docks.at(0).heading_deg, 180);

@@ -12,6 +12,7 @@
 #include <memory>
 #include <utility>
 
+#include "certificates/x509.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::certificates {
@@ -35,13 +36,9 @@ void require(int code, const char* what) {
     if (code < 0) throw std::runtime_error(std::string(what) + " failed: " + gnutls_strerror(code));
 }
 
-struct CertificateFree {
-    void operator()(gnutls_x509_crt_t it) const { gnutls_x509_crt_deinit(it); }
-};
 struct KeyFree {
     void operator()(gnutls_x509_privkey_t it) const { gnutls_x509_privkey_deinit(it); }
 };
-using CertificatePtr = std::unique_ptr<gnutls_x509_crt_int, CertificateFree>;
 using KeyPtr = std::unique_ptr<gnutls_x509_privkey_int, KeyFree>;
 
 CertificatePtr newCertificate() {
@@ -62,11 +59,6 @@ KeyPtr newKey() {
                                           GNUTLS_CURVE_TO_BITS(GNUTLS_ECC_CURVE_SECP256R1), 0, nullptr, 0),
             "making a key");
     return key;
-}
-
-gnutls_datum_t datum(std::string_view text) {
-    return {reinterpret_cast<unsigned char*>(const_cast<char*>(text.data())),
-            static_cast<unsigned int>(text.size())};
 }
 
 /// Takes what GnuTLS has allocated. A key does not stay behind in freed memory.
@@ -214,6 +206,15 @@ std::vector<std::string> alternativeNames(gnutls_x509_crt_t certificate) {
     return names;
 }
 
+constexpr const char* kAnew = "axon certs init --force, then issue all certificates again";
+
+}  // namespace
+
+gnutls_datum_t datum(std::string_view text) {
+    return {reinterpret_cast<unsigned char*>(const_cast<char*>(text.data())),
+            static_cast<unsigned int>(text.size())};
+}
+
 Certificate contentOf(gnutls_x509_crt_t certificate) {
     Certificate it;
     it.name = nameByOid(certificate, GNUTLS_OID_X520_COMMON_NAME);
@@ -243,10 +244,6 @@ std::vector<CertificatePtr> parsed(std::string_view pem, const std::string& file
     }
     return all;
 }
-
-constexpr const char* kAnew = "axon certs init --force, then issue all certificates again";
-
-}  // namespace
 
 const char* toString(Kind kind) {
     switch (kind) {

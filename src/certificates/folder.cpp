@@ -29,24 +29,6 @@ std::string because() {
     return std::generic_category().message(errno);
 }
 
-std::string contentOf(const fs::path& file, const std::string& fix) {
-    const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
-    if (fd.get() < 0) throw Unusable(file.string() + " cannot be read: " + because(), fix);
-    struct stat facts {};
-    if (::fstat(fd.get(), &facts) != 0 || !S_ISREG(facts.st_mode))
-        throw Unusable(file.string() + ": expected a regular file", fix);
-    std::string text;
-    std::array<char, 4096> buffer;
-    while (true) {
-        const auto got = ::read(fd.get(), buffer.data(), buffer.size());
-        if (got < 0 && errno == EINTR) continue;
-        if (got < 0) throw Unusable(file.string() + " cannot be read: " + because(), fix);
-        if (got == 0) return text;
-        text.append(buffer.data(), static_cast<std::size_t>(got));
-        if (text.size() > kFileMax) throw Unusable(file.string() + ": expected at most 1 MiB", fix);
-    }
-}
-
 struct NewFile {
     fs::path path;
     std::string content;
@@ -128,6 +110,24 @@ fs::path usable(fs::path path) {
 
 }  // namespace
 
+std::string readFile(const fs::path& file, const std::string& fix) {
+    const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
+    if (fd.get() < 0) throw Unusable(file.string() + " cannot be read: " + because(), fix);
+    struct stat facts {};
+    if (::fstat(fd.get(), &facts) != 0 || !S_ISREG(facts.st_mode))
+        throw Unusable(file.string() + ": expected a regular file", fix);
+    std::string text;
+    std::array<char, 4096> buffer;
+    while (true) {
+        const auto got = ::read(fd.get(), buffer.data(), buffer.size());
+        if (got < 0 && errno == EINTR) continue;
+        if (got < 0) throw Unusable(file.string() + " cannot be read: " + because(), fix);
+        if (got == 0) return text;
+        text.append(buffer.data(), static_cast<std::size_t>(got));
+        if (text.size() > kFileMax) throw Unusable(file.string() + ": expected at most 1 MiB", fix);
+    }
+}
+
 Folder::Folder(fs::path path) : path_(usable(std::move(path))) {}
 
 Written Folder::init(WallTime now, bool force) const {
@@ -155,7 +155,7 @@ Written Folder::issue(const Request& request, WallTime now, bool force) const {
     const bool missing = !fs::exists(path_ / kAuthorityFile, error) && !error;
     const std::string fix = missing ? "axon certs init" + folder + " makes one"
                                     : "run this as the user who made the CA, or name another folder";
-    const Issued authority{contentOf(path_ / kAuthorityFile, fix), contentOf(path_ / kAuthorityKey, fix)};
+    const Issued authority{readFile(path_ / kAuthorityFile, fix), readFile(path_ / kAuthorityKey, fix)};
     const auto issued = certificates::issue(authority, request, now);
     const auto stem = fileStem(request);
     const std::vector<NewFile> files{{path_ / (stem + ".key.pem"), issued.key, 0600},
@@ -186,7 +186,7 @@ std::vector<fs::path> Folder::certificateFiles() const {
 }
 
 std::vector<Certificate> readCertificateFile(const fs::path& file) {
-    return readCertificates(contentOf(file, "name a file that you may read"), file.string());
+    return readCertificates(readFile(file, "name a file that you may read"), file.string());
 }
 
 std::string fileStem(const Request& request) {

@@ -38,6 +38,9 @@ class Folder {
     const std::filesystem::path path_;
 };
 
+/// A regular file of at most 1 MiB. Throws Unusable, with this fix.
+std::string readFile(const std::filesystem::path& file, const std::string& fix);
+
 /// The certificates in a file of at most 1 MiB. Throws Unusable.
 std::vector<Certificate> readCertificateFile(const std::filesystem::path& file);
 

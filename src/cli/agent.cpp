@@ -7,6 +7,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <vector>
@@ -68,6 +69,10 @@ void Agent::serve() {
     auto last_needed = std::chrono::steady_clock::now();
     while (!stopping_) {
         reap();
+        if (look_) {
+            look_(std::any_of(connections_.begin(), connections_.end(),
+                              [](const auto& connection) { return connection->thread.joinable(); }));
+        }
         if (!connections_.empty() || holds_()) {
             last_needed = std::chrono::steady_clock::now();
         } else if (end_when_alone_ || std::chrono::steady_clock::now() - last_needed >= linger_) {

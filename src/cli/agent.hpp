@@ -41,6 +41,8 @@ class Agent {
     ~Agent();
 
     void serve();
+    /// Before serve(): called on its thread at least once a second, with whether a verb is running.
+    void onLook(std::function<void(bool used)> look) { look_ = std::move(look); }
     /// Any thread. Running verbs are interrupted.
     void stop();
     /// Before serve(): a connection that was not made through the listening socket.
@@ -56,6 +58,7 @@ class Agent {
     const Perform perform_;
     const Holds holds_;
     const std::chrono::milliseconds linger_;
+    std::function<void(bool used)> look_;
     Descriptor listening_;
     WakeUp woken_;
     std::atomic<bool> stopping_{false};

@@ -57,6 +57,20 @@ bool maySet(const Parameter& parameter) {
            parameter.kind != client::ParameterKind::Feedback;
 }
 
+/// The choice of the parameter that a person means by `value`, as its profile writes it; `value` itself where
+/// there is none, or more than one.
+std::string asChosen(const Parameter& parameter, std::string value) {
+    const std::string* meant = nullptr;
+    for (const auto& choice : parameter.choices) {
+        const auto* text = std::get_if<std::string>(&choice);
+        if (text == nullptr || !sameToAPerson(*text, value)) continue;
+        if (*text == value) return value;
+        if (meant != nullptr) return value;
+        meant = text;
+    }
+    return meant == nullptr ? value : *meant;
+}
+
 }  // namespace
 
 bool sameToAPerson(std::string_view a, std::string_view b) {
@@ -148,6 +162,7 @@ Result<std::vector<Argument>> readArguments(const Service& service, const std::v
                 units = measure->units;
             }
         }
+        if (!number) value = asChosen(meta, std::move(value));
         const auto same = std::find_if(arguments.begin(), arguments.end(),
                                        [&](const Argument& a) { return a.name == meta.name; });
         if (same == arguments.end()) {

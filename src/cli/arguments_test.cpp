@@ -69,6 +69,20 @@ TEST(ReadArguments, RefusesARepeatedKeyOfASingleParameter) {
     EXPECT_EQ(arguments.refusal().code, RefusalCode::WrongType);
 }
 
+TEST(ReadArguments, TakesAChoiceAsPeopleTypeIt) {
+    auto service = driving();
+    service.parameters[2].choices = {Value(std::string("Light Red")), Value(std::string("green")),
+                                     Value(std::string("Up")), Value(std::string("UP"))};
+    const auto arguments = readArguments(
+        service, {"Colours=light_red", "Colours=GREEN", "Colours=up", "Colours=UP", "Colours=blue"});
+    ASSERT_TRUE(arguments);
+    EXPECT_EQ(textAt(arguments->at(0), 0), "Light Red");
+    EXPECT_EQ(textAt(arguments->at(0), 1), "green");
+    EXPECT_EQ(textAt(arguments->at(0), 2), "up") << "it may mean two choices";
+    EXPECT_EQ(textAt(arguments->at(0), 3), "UP");
+    EXPECT_EQ(textAt(arguments->at(0), 4), "blue") << "the refusal shows it";
+}
+
 TEST(ReadArguments, KeepsEmptyValuesAndFurtherEqualsSigns) {
     const auto arguments = readArguments(driving(), {"Colours=", "Colours=a=b"});
     ASSERT_TRUE(arguments);

@@ -11,6 +11,7 @@
 #include "axon/client.hpp"
 #include "cli/common_options.hpp"
 #include "cli/password.hpp"
+#include "cli/synopsis.hpp"
 #include "messages/text.hpp"
 
 namespace axon::cli {
@@ -24,28 +25,13 @@ constexpr const char* kRootFooter =
     "  axon stop PeopleBot                        stop it at any time, whoever holds it\n"
     "  axon checkout PeopleBot                    check it out until axon release\n"
     "  axon checkout --query '1 ROBOT/MOBILE'     check out any that is free\n"
-    "axon VERB --help shows more. Exit status: 0 done, 1 refused or failed, 2 usage, 3 no server,\n"
+    "Words: an entity is a robot or machine. To check it out is to reserve it for yourself; the agent is a "
+    "process\n"
+    "in the background that keeps check-outs. A stop latches an entity: it refuses tasks until axon rearm. A "
+    "receipt\n"
+    "says what a stop has reached. A drill measures how long a stop takes, and stops nothing.\n"
+    "axon help VERB shows more. Exit status: 0 done, 1 refused or failed, 2 usage, 3 no server,\n"
     "4 not confirmed, 5 stopped or cancelled, 130 interrupted.";
-
-/// "ENTITY", "PARAMETER=VALUE": how help and messages call an operand.
-std::string placeholder(const Operand& operand) {
-    if (operand.takes == Takes::KeyValue) return "PARAMETER=VALUE";
-    std::string text = operand.name;
-    std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return std::toupper(c); });
-    return text;
-}
-
-/// "axon run ENTITY SERVICE [PARAMETER=VALUE…] [OPTIONS]".
-std::string synopsisOf(const Verb& verb) {
-    std::string text = std::string("axon ") + verb.name;
-    for (const auto& operand : verb.operands) {
-        auto word = placeholder(operand);
-        if (operand.repeated) word += "…";
-        text += operand.required ? " " + word : " [" + word + "]";
-    }
-    if (std::string_view(verb.name) == "checkout") text += " [-- COMMAND…]";
-    return text + " [OPTIONS]";
-}
 
 /// As in Verb::name.
 std::string nameOf(const CLI::App& app) {
@@ -110,17 +96,17 @@ void declare(CLI::App& app, const Verb& verb, Json& args) {
                 app.add_option_function<double>(
                        name, [&args, &option](double seconds) { args[option.name] = seconds; }, option.help)
                     ->check(CLI::Range(0.0, 1e9).description(""))
-                    ->type_name("SECONDS");
+                    ->type_name(placeholderOf(option));
                 break;
             case Takes::Count:
                 app.add_option_function<int>(
                        name, [&args, &option](int count) { args[option.name] = count; }, option.help)
                     ->check(CLI::Range(1, 1'000'000).description(""))
-                    ->type_name("N");
+                    ->type_name(placeholderOf(option));
                 break;
             case Takes::MaybeDuration:
                 // A flag, so that the word after it is not taken for its number; see readMaybeDurations.
-                app.add_flag(name, option.help)->type_name("[=SECONDS]");
+                app.add_flag(name, option.help)->type_name(placeholderOf(option));
                 break;
             case Takes::Choice:
                 app.add_option_function<std::string>(
@@ -129,13 +115,10 @@ void declare(CLI::App& app, const Verb& verb, Json& args) {
                     ->check(
                         CLI::IsMember(std::vector<std::string>(option.choices.begin(), option.choices.end()))
                             .description(""))
-                    ->type_name("CHOICE");
+                    ->type_name(placeholderOf(option));
                 break;
             default: {
-                const auto type = option.takes == Takes::File      ? "FILE"
-                                  : option.takes == Takes::Entity  ? "ENTITY"
-                                  : option.takes == Takes::Binding ? "ROLE=ENTITY"
-                                                                   : "TEXT";
+                const auto type = placeholderOf(option);
                 if (!option.repeated) {
                     app.add_option_function<std::string>(
                            name, [&args, &option](const std::string& word) { args[option.name] = word; },

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <ostream>
+#include <sstream>
 
 #include "cli/view.hpp"
 #include "cli/view_text.hpp"
@@ -24,6 +25,30 @@ std::string typeText(const Json& parameter) {
     auto text = textOf(parameter, "data_type");
     if (const auto units = textOf(parameter, "units"); !units.empty()) text += " " + units;
     return text;
+}
+
+/// The lines of a text of several findings.
+std::vector<std::string> findingsOf(const Json& entity) {
+    std::vector<std::string> all;
+    std::istringstream lines(textOf(entity, "reason", true));
+    for (std::string one; std::getline(lines, one);)
+        if (!one.empty()) all.push_back(one);
+    return all;
+}
+
+/// The first finding, and how many there are.
+std::string reasonCell(const Json& entity) {
+    const auto all = findingsOf(entity);
+    if (all.size() < 2) return all.empty() ? std::string() : all.front();
+    return fmt::format("{} (and {} more: axon info {})", all.front(), all.size() - 1,
+                       shellWord(textOf(entity, "call")));
+}
+
+/// What a person calls the kind of a stream.
+std::string kindText(const std::string& kind) {
+    if (kind == "scalar") return "number";
+    if (kind == "vector") return "numbers";
+    return kind;
 }
 
 std::string allowedText(const Json& parameter) {
@@ -70,7 +95,7 @@ void PersonView::showEntities(const Json& event) {
                               {entity.value("latched", false) ? "stopped" : "", Tint::Yellow},
                               {waiting > 0 ? std::to_string(waiting) : ""},
                               {latency.is_number() ? stageText(latency) : ""},
-                              {textOf(entity, "reason"), Tint::Dim}};
+                              {reasonCell(entity), Tint::Dim}};
         if (uuid) row.push_back({textOf(entity, "id")});
         table.add(std::move(row));
     }
@@ -92,18 +117,11 @@ void PersonView::showEntity(const Json& event) {
     } else {
         out_ << paint(call, Tint::Bold) << "  not ready  " << paint(state, stateTint(state)) << '\n';
     }
-    if (entity.value("yours", false))
-        out_ << "  "
-             << paint(entity.value("direct", false) ? "messages go directly to its Entity Manager"
-                                                    : "messages go through the servers",
-                      Tint::Dim)
-             << '\n';
     if (entity.value("latched", false)) {
         out_ << "  " << paint("stopped: it refuses tasks until axon rearm " + shellWord(call), Tint::Yellow)
              << '\n';
     }
-    if (const auto reason = textOf(entity, "reason"); !reason.empty())
-        out_ << "  " << paint(reason, Tint::Red) << '\n';
+    for (const auto& reason : findingsOf(entity)) out_ << "  " << paint(reason, Tint::Red) << '\n';
     if (entity.value("orphaned", false)) {
         out_ << "  "
              << paint(
@@ -114,26 +132,11 @@ void PersonView::showEntity(const Json& event) {
     }
     if (const auto waiting = entity.value("waiting", 0); waiting > 0)
         out_ << "  " << waiting << (waiting == 1 ? " client is" : " clients are") << " waiting for it\n";
-    if (const auto latency = entity.value("stop_latency_ms", Json()); latency.is_number())
-        out_ << "  stop latency " << stageText(latency) << " (from the last drill of the servers)\n";
-    for (const auto& margin : event.value("watchdogs", Json::array())) {
-        const auto timeout = margin.value("timeout_ms", 0.0);
-        const auto gap = margin.value("longest_gap_ms", 0.0);
-        const bool near = timeout > 0 && gap > timeout / 2;
-        out_ << "  "
-             << paint(fmt::format("watchdog {}: stops after {} of silence, longest gap in the last minute {}",
-                                  textOf(margin, "hop"), stageText(timeout), stageText(gap)),
-                      near ? Tint::Yellow : Tint::Dim)
-             << '\n';
-    }
     for (const auto& finding : event.value("findings", Json::array())) {
         out_ << "  " << paint(textOf(finding, "message"), Tint::Yellow) << '\n';
         if (const auto fix = textOf(finding, "fix"); !fix.empty()) out_ << "    fix: " << fix << '\n';
     }
     if (const auto descr = textOf(entity, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
-    out_ << fmt::format("  at {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
-                        entity.value("y_mm", 0.0), entity.value("z_mm", 0.0),
-                        paint(textOf(entity, "id"), Tint::Dim));
     for (const auto& service : event.at("services")) {
         out_ << '\n' << paint(textOf(service, "name"), Tint::Bold);
         if (const auto id = textOf(service, "global_id"); !id.empty()) out_ << " (" << id << ")";
@@ -194,7 +197,42 @@ void PersonView::showEntity(const Json& event) {
             out_ << table.text(terminal_.colour);
         }
     }
+    if (const auto streams = event.value("streams", Json::array()); !streams.empty()) {
+        out_ << '\n' << paint("streams", Tint::Bold) << " (axon watch " << shellWord(call) << " STREAM)\n";
+        std::size_t widest = 0;
+        for (const auto& stream : streams) widest = std::max(widest, columns(textOf(stream, "name")));
+        for (const auto& stream : streams) {
+            const auto name = textOf(stream, "name");
+            out_ << "  " << name << std::string(widest - columns(name) + 2, ' ')
+                 << paint(kindText(textOf(stream, "kind")), Tint::Dim) << '\n';
+        }
+    }
+    showStation(event);
     out_ << std::flush;
+}
+
+/// Where it is and how it is reached: what few people look for.
+void PersonView::showStation(const Json& event) {
+    const auto& entity = event.at("entity");
+    out_ << fmt::format("\nat {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
+                        entity.value("y_mm", 0.0), entity.value("z_mm", 0.0),
+                        paint(textOf(entity, "id"), Tint::Dim));
+    if (entity.value("yours", false))
+        out_ << paint(entity.value("direct", false) ? "messages go directly to its Entity Manager"
+                                                    : "messages go through the servers",
+                      Tint::Dim)
+             << '\n';
+    if (const auto latency = entity.value("stop_latency_ms", Json()); latency.is_number())
+        out_ << "stop latency " << stageText(latency) << " (from the last drill of the servers)\n";
+    for (const auto& margin : event.value("watchdogs", Json::array())) {
+        const auto timeout = margin.value("timeout_ms", 0.0);
+        const auto gap = margin.value("longest_gap_ms", 0.0);
+        const bool near = timeout > 0 && gap > timeout / 2;
+        out_ << paint(fmt::format("watchdog {}: stops after {} of silence, longest gap in the last minute {}",
+                                  textOf(margin, "hop"), stageText(timeout), stageText(gap)),
+                      near ? Tint::Yellow : Tint::Dim)
+             << '\n';
+    }
 }
 
 }  // namespace axon::cli

@@ -289,7 +289,7 @@ class FakeStation : public Station {
     Result<std::shared_ptr<void>> watch(const std::string& id, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> sample) override {
         watched = streams;
-        for (const auto& one : samples) sample({id, "pose", one.first, one.second, {}});
+        for (const auto& one : samples) sample({id, stream, one.first, one.second, {}});
         return std::shared_ptr<void>();
     }
     Result<GlobalServices> globalServices() const override {
@@ -416,7 +416,8 @@ class FakeStation : public Station {
     Refusal check_out_refusal;
     Role my_role = Role::Operator;
     std::string lost_id, direct_id, says;
-    std::string asks;  ///< who wants the arm
+    std::string asks;             ///< who wants the arm
+    std::string stream = "pose";  ///< of the samples
     std::vector<client::WatchdogMargin> watchdogs;
     std::vector<client::EntityFinding> findings;
     bool waits_for_ever = false;

@@ -70,11 +70,18 @@ Cell remarkOf(const Json& step) {
     return {textOf(step, "feedback"), Tint::Dim};
 }
 
-/// "Distance = 998 mm; Colour = red".
-std::string valueList(const Json& values) {
+/// "Distance = 998 mm; Colour = red", of the step's "parameters" or "results"; without what was reported on
+/// the way.
+std::string valueList(const Json& step, const char* which) {
+    const auto units = step.value("units", Json::object());
+    const auto live = step.value("live", Json::array());
     std::string text;
-    for (const auto& [name, list] : values.items())
-        text += (text.empty() ? "" : "; ") + printable(name) + " = " + valuesText(list);
+    for (const auto& [name, list] : step.at(which).items()) {
+        if (std::find(live.begin(), live.end(), Json(name)) != live.end()) continue;
+        const auto unit = units.value(name, "");
+        text += (text.empty() ? "" : "; ") + printable(name) + " = " + valuesText(list) +
+                (unit.empty() ? "" : " " + printable(unit));
+    }
     return text;
 }
 
@@ -430,7 +437,7 @@ void PersonView::showRunEnd(const Json& event) {
             " after " + duration(event.value("elapsed_s", 0.0)));
     }
     for (const auto* step : inOrder(steps_, true)) {
-        if (const auto results = valueList(step->at("results")); !results.empty())
+        if (const auto results = valueList(*step, "results"); !results.empty())
             say("  " + whatOf(*step) + ": " + results);
     }
     showProblems(event.at("problems"));
@@ -520,8 +527,8 @@ void PersonView::showRunRecord(const Json& event) {
              stepState(*step, true),
              {began.is_number() ? duration(began.get<double>()) : ""},
              {timeOf(*step, event.value("duration_s", 0.0))},
-             {valueList(step->at("parameters"))},
-             {valueList(step->at("results"))},
+             {valueList(*step, "parameters")},
+             {valueList(*step, "results")},
              {step->at("reason").is_object() ? textOf(step->at("reason"), "message") : "", Tint::Yellow}});
     }
     out_ << fitted({"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "BEGAN", "TIME", "INPUTS", "RESULTS",

@@ -20,9 +20,12 @@
 
 #include "cli/agent.hpp"
 #include "cli/agent_link.hpp"
+#include "cli/caretaker.hpp"
 #include "cli/common_options.hpp"
 #include "cli/holding.hpp"
+#include "cli/view.hpp"
 #include "cli/words.hpp"
+#include "common/clock.hpp"
 #include "messages/text.hpp"
 
 extern char** environ;
@@ -78,9 +81,16 @@ bool isStop(std::string_view verb) {
     return verb == "stop" || verb == "global stop";
 }
 
+/// What a verb may ask of the agent itself: members of Session.
+struct AgentHooks {
+    std::function<void()> end = {};
+    std::function<void(const Json&)> notify = {};
+    std::function<void(double)> set_idle = {};
+};
+
 /// Runs the verbs that others ask for on the one kept station.
 std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<Station>& station,
-                               const Settings& settings, const std::function<void()>& end) {
+                               const Settings& settings, const AgentHooks& hooks) {
     const auto* verb = findVerb(work.verb);
     if (verb == nullptr || verb->runs == Runs::Local) {
         work.events.emit(usageEvent("the agent does not know the verb " + work.verb));
@@ -107,7 +117,9 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
         }
     }
     Session session{work.args, work.events, work.mailbox, station, settings, true};
-    session.end_agent = end;
+    session.end_agent = hooks.end;
+    session.notify = hooks.notify;
+    session.set_idle = hooks.set_idle;
     // Who holds something should learn that somebody asks for it, whatever they came for; a stop has no time.
     if (!isStop(work.verb) && work.verb != "handover") {
         for (const auto& question : station->questions())
@@ -115,6 +127,38 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
                 toJson(question.request, callName(question.entity, station->entities()), "axon handover"));
     }
     return verb->perform(session);
+}
+
+bool isBusy(const Station& station) {
+    const auto tasks = station.tasks().list;
+    const auto runs = station.runs();
+    return std::any_of(tasks.begin(), tasks.end(),
+                       [](const KeptTask& task) { return !client::isFinal(task.report.state); }) ||
+           std::any_of(runs.begin(), runs.end(),
+                       [](const RunReport& run) { return !client::isFinal(run.state); });
+}
+
+/// Warns of the end of a check-out that nobody uses, and ends it.
+void giveBackUnused(Station& station, IdleWatch& idle, const Notifier& notifier, TimePoint now, bool used) {
+    const auto held = station.held();
+    const auto says = idle.look(now, used || held.empty() || isBusy(station));
+    if (says == IdleWatch::Says::Nothing) return;
+    std::string names;
+    for (const auto& entity : held) names += (names.empty() ? "" : ", ") + entity.name;
+    if (says == IdleWatch::Says::Warn) {
+        const auto text = names + " is checked out and not used: it is released in " +
+                          duration(idle.warning().count()) +
+                          ", unless an axon command uses the check-out, such as axon agent status";
+        AgentLog::write(text);
+        return notifier.tell(text);
+    }
+    for (const auto& entity : held) {
+        if (const auto done = station.release(entity.id); !done)
+            AgentLog::write("cannot release " + entity.name + ": " + done.refusal().message);
+    }
+    const auto text = names + " was released: it was not used for " + duration(idle.limit().count());
+    AgentLog::write(text);
+    notifier.tell(text);
 }
 
 /// Waits for the child and for what the agent's thread serves meanwhile.
@@ -400,16 +444,28 @@ int Invoker::serveAgent(int ready_fd) {
         return kUsage;
     }
     const auto kept = station.value();
+    const SteadyClock clock{};
+    IdleWatch idle(clock.now());
+    const auto notifier = std::make_shared<Notifier>();
+    RequestWatch requests(notifier);
     std::unique_ptr<Agent> agent;
+    const AgentHooks hooks{[&agent] { agent->stop(); },
+                           [&](const Json& where) {
+                               notifier->aim(where);
+                               requests.follow(*kept);
+                           },
+                           [&idle](double seconds) { idle.setLimit(Seconds(seconds)); }};
     agent = std::make_unique<Agent>(
         std::move(listening).value(),
         [&](const Agent::Work& work) {
             AgentLog::write(work.verb + " " + line(work.args));
-            const auto exit = performKept(work, kept, settings_, [&agent] { agent->stop(); });
+            const auto exit = performKept(work, kept, settings_, hooks);
+            requests.follow(*kept);
             AgentLog::write(work.verb + (exit ? ": exit " + std::to_string(*exit) : ": not for this agent"));
             return exit;
         },
         [kept] { return !kept->held().empty(); }, kLinger);
+    agent->onLook([&](bool used) { giveBackUnused(*kept, idle, *notifier, clock.now(), used); });
     onInterrupt([&](int) { agent->stop(); });
     AgentLog::write("serving " + kept->server() + " as " + kept->self().name);
     say({{"ready", true}});

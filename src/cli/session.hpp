@@ -101,6 +101,10 @@ struct Session {
     Connect connect = {};
     /// In an agent only, and not under `checkout -- command`: ends it when this verb is done.
     std::function<void()> end_agent = {};
+    /// Likewise: requests for what it holds are told there at once (caretaker.hpp, reachableAt).
+    std::function<void(const Json& where)> notify = {};
+    /// Likewise: after this many seconds without use it releases what it holds; 0 = never.
+    std::function<void(double)> set_idle = {};
 };
 
 /// What an operand or option takes; drives the parser, the help and the shell completion.
@@ -116,6 +120,7 @@ enum class Takes {
     Binding,  ///< ROLE=ENTITY
     Run,      ///< of a global service
     Stream,
+    Verb,
     Duration,
     MaybeDuration,  ///< "--wait" or "--wait=5": options only
     Count,

@@ -48,7 +48,27 @@ std::string stageText(const Json& milliseconds, double precision_ms) {
 
 namespace {
 
-/// "x=1.5 y=2" for {"pose": {"x": 1.5, "y": 2, "frame": ""}}; the beginning of long lists.
+/// How many bytes a text of base64 stands for.
+double bytesOf(const Json& base64) {
+    if (!base64.is_string()) return 0;
+    const auto& text = base64.get_ref<const std::string&>();
+    const auto padding = static_cast<std::size_t>(text.ends_with("==") ? 2 : text.ends_with('=') ? 1 : 0);
+    return static_cast<double>(text.size() / 4 * 3 - std::min(padding, text.size() / 4 * 3));
+}
+
+/// "320 × 240 jpeg, 12.3 KB": nobody reads pixels.
+std::string imageText(const Json& image) {
+    std::string text;
+    const auto width = image.value("width", Json(0));
+    const auto height = image.value("height", Json(0));
+    if (width != 0 || height != 0) text = valueText(width) + " × " + valueText(height) + " ";
+    text += textOf(image, "encoding");
+    const auto pixels = image.find("pixels");
+    return pixels == image.end() ? text : text + ", " + byteCount(bytesOf(*pixels));
+}
+
+/// "x=1.5 y=2" for {"pose": {"x": 1.5, "y": 2, "frame": ""}}, "98.6 %" for a number with units; the beginning
+/// of long lists.
 std::string sampleText(const Json& sample) {
     if (!sample.is_structured()) return valueText(sample);
     if (sample.is_array()) {
@@ -58,13 +78,25 @@ std::string sampleText(const Json& sample) {
             text += (i > 0 ? " " : "") + sampleText(sample[i]);
         return text + (sample.size() > kShown ? fmt::format(" …] {} values", sample.size()) : "]");
     }
+    if (sample.size() == 1 && sample.contains("raw"))
+        return byteCount(bytesOf(sample["raw"])) + " of raw data";
+    if (sample.size() == 1 && sample.contains("image") && sample["image"].is_object())
+        return imageText(sample["image"]);
     if (sample.size() == 1 && sample.begin()->is_structured()) return sampleText(*sample.begin());
     std::string text;
+    std::string units;
+    bool bare = true;  // one value: what it is called says nothing
     for (const auto& [name, value] : sample.items()) {
         if (value == "") continue;
+        if (name == "units") {
+            units = " " + valueText(value);
+            continue;
+        }
+        bare = text.empty() && (name == "value" || name == "values");
         text += (text.empty() ? "" : " ") + printable(name) + "=" + sampleText(value);
     }
-    return text;
+    if (bare && !text.empty()) text.erase(0, text.find('=') + 1);
+    return text + units;
 }
 
 }  // namespace
@@ -243,6 +275,10 @@ void PersonView::show(const Json& event) {
         if (terminal_.live) say(paint("watching " + textOf(event, "entity") + "; Ctrl-C ends it", Tint::Dim));
         return;
     }
+    if (kind == "viewing") {
+        return say(event.value("opened", false) ? "showing " + textOf(event, "file")
+                                                : "open this page in a browser: " + textOf(event, "file"));
+    }
     if (kind == "sent") {
         return say(fmt::format("sent {} {} to {}", byteCount(event.value("size", 0.0)),
                                event.value("raw", false) ? "of raw data" : "of text",
@@ -268,6 +304,13 @@ void PersonView::show(const Json& event) {
         }
         return say(what);
     }
+    if (kind == "project") {
+        say(paint("✓", Tint::Green) + " made the " + textOf(event, "kind") + " project " +
+            textOf(event, "name") + "; next:");
+        for (const auto& command : event.at("next")) out_ << "  " << valueText(command) << '\n';
+        out_ << std::flush;
+        return;
+    }
     if (kind == "version") return say("axon " + textOf(event, "version"));
     if (kind == "notice") return say(paint(textOf(event, "message"), Tint::Dim));
     if (kind == "line") return say(textOf(event, "text", true));
@@ -285,7 +328,10 @@ void PersonView::showTask(const Json& event) {
         say(mark + " " + who + " " + lowerCase(state) + " after " + duration(elapsed));
         const auto& results = event.at("results");
         const auto units = event.value("units", Json::object());
+        const auto live = event.value("live", Json::array());
         for (const auto& [name, values] : results.items()) {
+            // What was reported on the way is no result, unless nothing else tells where it ended.
+            if (good && std::find(live.begin(), live.end(), Json(name)) != live.end()) continue;
             const auto unit = units.value(name, "");
             out_ << "  " << printable(name) << " = " << valuesText(values)
                  << (unit.empty() ? "" : " " + printable(unit)) << '\n';
@@ -390,6 +436,11 @@ void PersonView::showCheckedOut(const Json& event) {
 }
 
 void PersonView::showSample(const Json& event) {
+    if (const auto file = textOf(event, "file"); !file.empty()) {
+        const auto text = fmt::format("{} {} #{}  {} → {}", textOf(event, "entity"), textOf(event, "stream"),
+                                      event.value("sequence", 0ULL), sampleText(event.at("sample")), file);
+        return progress(text, -1);
+    }
     auto text = sampleText(event.at("sample"));
     const auto start = fmt::format("{} {} #{}  ", textOf(event, "entity"), textOf(event, "stream"),
                                    event.value("sequence", 0ULL));

@@ -31,6 +31,7 @@ class PersonView final : public Events {
     void show(const Json& event);
     void showEntities(const Json& event);
     void showEntity(const Json& event);
+    void showStation(const Json& event);
     void showTask(const Json& event);
     void showTasks(const Json& event);
     void showUpload(const Json& event);

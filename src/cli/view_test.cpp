@@ -129,7 +129,6 @@ TEST_F(View, ShowsWhatAServiceTakesAndWhatIsMissing) {
     shown({{{"event", "entity"}, {"entity", entity}, {"services", {toJson(station.services_[0])}}}});
     EXPECT_EQ(out.str(),
               "Cyton  ROBOT STATIONARY  IDLE  free\n"
-              "  at 0, 0, 0 mm  33333333-0000-4000-8000-000000000003\n"
               "\n"
               "Driving (peoplebot_drive)  needs Distance, Map; pausable\n"
               "  Drives straight ahead\n"
@@ -138,7 +137,45 @@ TEST_F(View, ShowsWhatAServiceTakesAndWhatIsMissing) {
               "  Range Threshold  config  DBL mm  500                     kept\n"
               "  Colours          input   STR              red, green     several\n"
               "  RESOURCE  SIZE\n"
-              "  Map       missing  required\n");
+              "  Map       missing  required\n"
+              "\n"
+              "at 0, 0, 0 mm  33333333-0000-4000-8000-000000000003\n");
+}
+
+TEST_F(View, ShowsServicesThenStreamsThenWatchdogs) {
+    const FakeStation station;
+    auto entity = toJson(station.entities_[2], false);
+    entity["call"] = "Cyton";
+    const Json watchdogs{{{"hop", "client"}, {"timeout_ms", 1000.0}, {"longest_gap_ms", 120.0}}};
+    shown({{{"event", "entity"},
+            {"entity", entity},
+            {"services", {toJson(station.services_[0])}},
+            {"streams",
+             {{{"name", "battery"}, {"kind", "scalar"}}, {{"name", "my camera"}, {"kind", "image"}}}},
+            {"watchdogs", watchdogs}}});
+    const auto text = out.str();
+    EXPECT_THAT(text,
+                HasSubstr("streams (axon watch Cyton STREAM)\n  battery    number\n  my camera  image\n"));
+    EXPECT_LT(text.find("Driving"), text.find("streams"));
+    EXPECT_LT(text.find("streams"), text.find("watchdog"));
+}
+
+TEST_F(View, ACellOfTheListHoldsTheFirstFindingAndHowManyThereAre) {
+    auto entity = FakeStation::entity("44444444-0000-4000-8000-000000000004", "greeter");
+    entity.ready = false;
+    entity.category = entity.type = "";
+    entity.state = EntityState::ERR;
+    entity.reason = "basic.xml:1: error: one\nservices.xml:2: error: two\nservices.xml:9: error: three";
+    auto json = toJson(entity, false);
+    json["call"] = "greeter";
+    EXPECT_EQ(shown({{{"event", "entities"}, {"server", "s"}, {"entities", {json}}}}),
+              "NAME     STATE  HOLDER  REASON\n"
+              "greeter  ERR    -       basic.xml:1: error: one (and 2 more: axon info greeter)\n");
+    out.str("");
+    EXPECT_THAT(
+        shown({{{"event", "entity"}, {"entity", json}, {"services", Json::array()}}}),
+        HasSubstr(
+            "  basic.xml:1: error: one\n  services.xml:2: error: two\n  services.xml:9: error: three\n"));
 }
 
 TEST_F(View, ShowsWhyAServiceIsSwitchedOff) {
@@ -199,9 +236,11 @@ TEST_F(View, ShowsTheFEEDBACKOfATaskWhileItRunsAndItsOUTPUTWhenItHasEnded) {
         shown({running, done}),
         "PeopleBot Driving  [##############--------------]  50 %  2.0 s  Speed 198.5 mm/s  Angles 1.5, 2\n"
         "✓ PeopleBot Driving succeeded after 2.0 s\n"
-        "  Angles = 1.5, 2\n"
-        "  Distance = 500 mm\n"
-        "  Speed = 198.5 mm/s\n");
+        "  Distance = 500 mm\n");
+    auto stopped = done;
+    stopped["state"] = "STOPPED";
+    out.str("");
+    EXPECT_THAT(shown({stopped}), HasSubstr("  Speed = 198.5 mm/s\n")) << "what is known of its end";
 }
 
 TEST_F(View, NothingIsAtMinusZeroPercent) {
@@ -341,13 +380,24 @@ TEST_F(View, ShowsSamplesAsPeopleReadThem) {
                     {"sequence", 7},
                     {"sample", content}};
     };
-    EXPECT_EQ(shown({sample("pose", {{"pose", {{"x", 1.5}, {"y", 2}, {"frame", ""}}}}),
-                     sample("battery", {{"scalar", {{"value", 12.1}, {"units", "V"}}}}),
-                     sample("sonar", {{"scan", {{"ranges", ranges}}}}), sample("odd", "no json")}),
-              "PeopleBot pose #7  x=1.5 y=2\n"
-              "PeopleBot battery #7  units=V value=12.1\n"
-              "PeopleBot sonar #7  [0 0.5 1 1.5 2 2.5 3 3.5 4 4.5 5 5.5 …] 20 values\n"
-              "PeopleBot odd #7  no json\n");
+    EXPECT_EQ(
+        shown({sample("pose", {{"pose", {{"x", 1.5}, {"y", 2}, {"frame", ""}}}}),
+               sample("battery", {{"scalar", {{"value", 12.1}, {"units", "V"}}}}),
+               sample("quality", {{"scalar", {{"units", "%"}, {"value", 98.58}}}}),
+               sample("arm", {{"vector", {{"units", "deg"}, {"values", {1, -2.5}}}}}),
+               sample("camera",
+                      {{"image",
+                        {{"width", 320}, {"height", 240}, {"encoding", "jpeg"}, {"pixels", "/9j/4AA="}}}}),
+               sample("laser", {{"raw", "AAECAw=="}}), sample("sonar", {{"scan", {{"ranges", ranges}}}}),
+               sample("odd", "no json")}),
+        "PeopleBot pose #7  x=1.5 y=2\n"
+        "PeopleBot battery #7  12.1 V\n"
+        "PeopleBot quality #7  98.58 %\n"
+        "PeopleBot arm #7  [1 -2.5] deg\n"
+        "PeopleBot camera #7  320 × 240 jpeg, 5 B\n"
+        "PeopleBot laser #7  4 B of raw data\n"
+        "PeopleBot sonar #7  [0 0.5 1 1.5 2 2.5 3 3.5 4 4.5 5 5.5 …] 20 values\n"
+        "PeopleBot odd #7  no json\n");
 }
 
 TEST_F(View, TellsALostCheckOutLoudly) {

@@ -55,8 +55,8 @@ void closeAll(const DirectLinks::Closing& paths, const std::string& why) {
 Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
     : options_(settled(std::move(options))),
       clock_(std::move(clock)),
-      communicators_(std::make_unique<Communicators>()),
-      lane_readers_(std::make_shared<LaneReaders>(*clock_)),
+      communicators_(std::make_shared<Communicators>()),
+      lane_readers_(std::make_shared<LaneReaders>(*clock_, options_.direct_spin)),
       core_(settingsOf(options_), *clock_, random_, messages_, news_, marks_),
       direct_(*clock_, static_cast<std::size_t>(std::max(options_.direct_paths, 0)),
               [this](const DirectOffer& offer) {
@@ -64,7 +64,7 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
                   return std::make_shared<NetworkPath>(
                       lane_readers_, communicators_->signal(), offer, Id128::random(random_),
                       connection ? connection->backlog() : std::make_shared<Backlog>(), *clock_,
-                      weak_from_this());
+                      weak_from_this(), communicators_);
               }),
       news_(*this,
             [this] {
@@ -137,7 +137,7 @@ Result<void> Client::Session::connect() {
         // A port of TLS waits for the other side to begin, and so does a client of TCP.
         if (refusal.code == RefusalCode::TimedOut && !routed &&
             !transport::parseEndpoint(options_.server).tls)
-            refusal.message += " Or is TLS spoken there (ssl://HOST:PORT)?";
+            refusal.message += "; or is TLS spoken there (ssl://HOST:PORT)?";
         if (refusal.code == RefusalCode::NotConnected || refusal.code == RefusalCode::TimedOut) {
             refusal.code = RefusalCode::Unavailable;
         }
@@ -486,15 +486,24 @@ void Client::Session::onDirect(const Held& held, const std::string& data_endpoin
     const auto withdraw = [&] {
         if (direct_.withdraw(held)) threads_.timer.wake();
     };
-    // Nothing plain where the way to the server is TLS, and no way to an endpoint behind a router.
-    if (data_endpoint.empty() || signal_endpoint.empty() || !options_.direct || communicators_->routed() ||
-        transport::parseEndpoint(options_.server).tls)
+    // No way to an endpoint behind a router; nothing plain where the way to the server is TLS, and TLS only
+    // with what certificates are checked against.
+    if (data_endpoint.empty() || signal_endpoint.empty() || !options_.direct || communicators_->routed())
+        return withdraw();
+    const bool tls = DirectOffer::overTls(data_endpoint);
+    if (tls != DirectOffer::overTls(signal_endpoint) ||
+        (tls ? communicators_->tls() == nullptr : transport::parseEndpoint(options_.server).tls))
         return withdraw();
     // An Entity Manager beside the server names its own machine; elsewhere that is another one.
     const auto connection = connection_.load();
-    const auto local = [](const std::string& endpoint) { return endpoint.starts_with("127."); };
+    const auto local = [](const std::string& endpoint) {
+        return DirectOffer::addressIn(endpoint).starts_with("127.");
+    };
     if (local(data_endpoint) && connection && !local(connection->peer())) return withdraw();
-    direct_.offer({held.entity, held.lease, key, core_.self().id, data_endpoint, signal_endpoint});
+    const auto* const facts = core_.entities().facts(held.entity);
+    if (tls && facts == nullptr) return withdraw();  // no certificate could be that of this entity
+    direct_.offer({held.entity, held.lease, key, core_.self().id, data_endpoint, signal_endpoint,
+                   facts != nullptr ? facts->name : std::string()});
     threads_.timer.wake();
 }
 

@@ -146,7 +146,7 @@ class Client::Session final : public LeaseOffers,
     const std::shared_ptr<const Clock> clock_;
     SystemRandom random_;
     SignalMarks marks_;
-    const std::unique_ptr<Communicators> communicators_;
+    const std::shared_ptr<Communicators> communicators_;
     const std::shared_ptr<LaneReaders> lane_readers_;
     Threads threads_;
 

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: MIT
 #include "common/frame.hpp"
 
+#include <axon/link.pb.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <vector>
+
+#include "common/message_frame.hpp"
 
 namespace axon {
 namespace {
@@ -30,6 +33,20 @@ TEST(Frame, EmptyAndOversizePayloadsAreNotWritten) {
     EXPECT_FALSE(appendFrame(out, std::string(kFrameMax + 1, 'x')));
     EXPECT_TRUE(out.empty());
     EXPECT_TRUE(appendFrame(out, std::string(kFrameMax, 'x')));
+}
+
+TEST(Frame, AMessageIsFramedAsItsBytesAre) {
+    proto::EmToEi message;
+    std::string none;
+    EXPECT_FALSE(appendFrameOf(none, message)) << "it has no bytes";
+    message.mutable_text()->set_text(std::string(300, 'x'));
+    std::string expected = "before", out = expected;
+    ASSERT_TRUE(appendFrame(expected, message.SerializeAsString()));
+    ASSERT_TRUE(appendFrameOf(out, message));
+    EXPECT_EQ(out, expected);
+    message.mutable_text()->set_text(std::string(kFrameMax, 'x'));
+    EXPECT_FALSE(appendFrameOf(out, message)) << "with its head it is larger than a frame";
+    EXPECT_EQ(out, expected) << "and nothing was written";
 }
 
 TEST(Frame, EverySplitGivesTheSameFrames) {

@@ -312,22 +312,21 @@ void Communicator::stopThread() {
 }
 
 void Communicator::readSignals(Link& link) {
-    std::array<char, 4096> buffer;
-    std::string payload;
     bool ended = false;
     const auto deliver = [&] {
         proto::EmToEi message;
-        while (link.signal_reader.next(payload)) {
-            if (!message.ParseFromString(payload))
+        while (const auto payload = link.signal_reader.nextView()) {
+            if (!message.ParseFromArray(payload->data(), static_cast<int>(payload->size())))
                 return link.cut("malformed message on the signal connection");
             onSignal(link, message);
         }
         if (link.signal_reader.failed()) link.cut("signal connection: " + link.signal_reader.error());
     };
     while (!ended) {
-        const auto got = ::recv(link.signalFd(), buffer.data(), buffer.size(), MSG_DONTWAIT);
+        const auto room = link.signal_reader.room();
+        const auto got = ::recv(link.signalFd(), room.data(), room.size(), MSG_DONTWAIT);
         if (got > 0) {
-            link.signal_reader.feed({buffer.data(), static_cast<std::size_t>(got)});
+            link.signal_reader.filled(static_cast<std::size_t>(got));
         } else if (got == 0) {
             link.cut("the Entity Manager has closed the link");
             ended = true;

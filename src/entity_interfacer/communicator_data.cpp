@@ -227,17 +227,18 @@ void Communicator::adoptDataLink(const std::shared_ptr<Link>& link) {
 }
 
 void Communicator::readData(const std::shared_ptr<Link>& link) {
-    std::array<char, 64 * 1024> buffer;
-    const auto got = ::recv(link->dataFd(), buffer.data(), buffer.size(), MSG_DONTWAIT);
+    const auto room = link->data_reader.room();
+    const auto got = ::recv(link->dataFd(), room.data(), room.size(), MSG_DONTWAIT);
     if (got == 0) link->cut("the Entity Manager has closed the link");
     if (got < 0 && errno != EAGAIN && errno != EINTR)
         link->cut(std::string("data connection: ") + std::strerror(errno));
     if (got <= 0) return stop_wake_.wake();
-    link->data_reader.feed({buffer.data(), static_cast<std::size_t>(got)});
-    std::string payload;
-    while (!link->lost() && link->data_reader.next(payload)) {
-        proto::EmToEi message;
-        if (!message.ParseFromString(payload))
+    link->data_reader.filled(static_cast<std::size_t>(got));
+    proto::EmToEi message;
+    while (!link->lost()) {
+        const auto payload = link->data_reader.nextView();
+        if (!payload) break;
+        if (!message.ParseFromArray(payload->data(), static_cast<int>(payload->size())))
             link->cut("malformed message on the data connection");
         else
             onData(link, message);

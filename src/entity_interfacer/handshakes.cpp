@@ -11,6 +11,7 @@
 #include <cerrno>
 #include <cstring>
 
+#include "common/message_frame.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 
 namespace axon {
@@ -206,7 +207,7 @@ void Handshakes::welcome(Pending& pending, const proto::Hello& hello, const prot
     welcome.set_nonce(hello.nonce());
     if (refusal != nullptr) *welcome.mutable_refusal() = *refusal;
     std::string frame;
-    appendFrame(frame, message.SerializeAsString());
+    appendFrameOf(frame, message);
     [[maybe_unused]] const auto sent =
         ::send(pending.socket.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
 }

@@ -8,6 +8,8 @@
 #include <cerrno>
 #include <cstring>
 
+#include "common/message_frame.hpp"
+
 namespace axon {
 namespace {
 constexpr std::size_t kFramesMax = 1024;
@@ -43,7 +45,7 @@ void Link::cut(const std::string& reason, bool stopped) {
         last.mutable_end()->set_reason(this->reason());
         last.mutable_end()->set_stopped(stopped);
         std::string frame;
-        if (appendFrame(frame, last.SerializeAsString()))
+        if (appendFrameOf(frame, last))
             static_cast<void>(::send(signal_.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL));
     }
     ::shutdown(signal_.get(), SHUT_RDWR);
@@ -57,7 +59,7 @@ std::string Link::reason() const {
 
 void Link::sendSignal(const proto::EiToEm& message) {
     std::string frame;
-    if (!appendFrame(frame, message.SerializeAsString())) return;
+    if (!appendFrameOf(frame, message)) return;
     const auto sent = ::send(signal_.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
     if (sent != static_cast<ssize_t>(frame.size()) && !lost())
         cut(sent < 0 && errno != EAGAIN ? std::string("signal connection: ") + std::strerror(errno)
@@ -66,7 +68,7 @@ void Link::sendSignal(const proto::EiToEm& message) {
 
 bool Link::sendData(const proto::EiToEm& message, Kind kind) {
     std::string frame;
-    if (!appendFrame(frame, message.SerializeAsString())) return false;
+    if (!appendFrameOf(frame, message)) return false;
     if (closed_.load(std::memory_order_acquire)) return true;
     const std::lock_guard lock(data_mutex_);
     bytes_ += frame.size();

@@ -39,6 +39,7 @@ const std::set<std::string> kKeys{kRouter,
                                   "Axon.Address",
                                   "Axon.Datagrams",
                                   "Axon.Direct",
+                                  "Axon.Direct.Spin",
                                   "Axon.LockMemory",
                                   "Axon.LeaseGrace",
                                   "Axon.LinkWatchdogBusyMs",
@@ -265,6 +266,8 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     options.core.server_watchdog_idle = milliseconds("Axon.WatchdogIdleMs", "10000", 250, 60000);
     options.datagrams = read("Axon.Datagrams", "on", datagramsOf);
     options.direct = read("Axon.Direct", "on", directOf);
+    options.direct.spin =
+        std::chrono::microseconds(integer("Axon.Direct.Spin", "0", 0, direct::lane::kSpinMost.count()));
     options.lock_memory = integer("Axon.LockMemory", "1", 0, 1) != 0;
     options.core.lease_grace = read(
         "Axon.LeaseGrace", "5",

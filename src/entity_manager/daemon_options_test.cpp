@@ -57,6 +57,16 @@ TEST_F(DaemonOptionsTest, DirectPathsAreOfferedUnlessSwitchedOff) {
     EXPECT_EQ(both.ports.last, 10431);
 }
 
+TEST_F(DaemonOptionsTest, TheReaderOfDirectPathsSpinsForAtMostFiftyMicroseconds) {
+    using namespace std::chrono_literals;
+    EXPECT_EQ(read("Axon.Direct.Spin=0").direct.spin, 0us);
+    EXPECT_EQ(read("Axon.Direct.Spin=50\nAxon.Direct=192.168.0.7").direct.spin, 50us);
+    for (const auto* wrong : {"51", "-1", "on", ""})
+        EXPECT_THAT(refusal(std::string("Axon.Direct.Spin=") + wrong),
+                    HasSubstr("Axon.Direct.Spin: expected a whole number from 0 to 50"))
+            << wrong;
+}
+
 TEST_F(DaemonOptionsTest, WhatNamesNoTwoPortsIsRefusedWithWhatIsExpected) {
     for (const auto* wrong :
          {"yes", "10430", "10430-10430", "10439-10430", "80-90", "10430-70000", "lab:10430-10439",

@@ -21,12 +21,12 @@ constexpr int kOpenings = 8;         // of direct paths that wait for the strand
 }  // namespace
 
 EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
-                             std::shared_ptr<ServerCommunicators> ice, bool plain_way)
+                             std::shared_ptr<ServerCommunicators> ice, WayToServer way)
     : strand_(CallerFirst::over(std::move(executor))),
       name_(std::move(name)),
       clock_(clock),
       ice_(std::move(ice)),
-      plain_way_(plain_way),
+      way_(way),
       timer_(strand_, clock_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
@@ -35,8 +35,11 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
                                                      const BackEndFactory& back_end, const Clock& clock,
                                                      RandomSource& random, Storage& storage,
                                                      ResourceStore& resources, Journal* journal) {
-    const std::shared_ptr<EntityManager> self(new EntityManager(
-        std::move(executor), settings.application, clock, ice, !server.tls && server.router.empty()));
+    const std::shared_ptr<EntityManager> self(new EntityManager(std::move(executor), settings.application,
+                                                                clock, ice,
+                                                                !server.router.empty() ? WayToServer::Router
+                                                                : server.tls           ? WayToServer::Tls
+                                                                                       : WayToServer::Plain));
     self->back_end_ = back_end(self->strand_, self->stop_generations_, clock, *self);
     auto identity = identityIn(storage, random);
     server.secret = std::move(identity.secret);
@@ -90,10 +93,11 @@ void EntityManager::receiveDatagrams(const DatagramSettings& settings, const Clo
 }
 
 void EntityManager::offerDirect(const DirectSettings& settings) {
-    // What is TLS to the server is not plain to a client, and who comes through a router reaches no endpoint
-    // behind it.
-    if (plain_way_ && settings.offered)
-        doors_ = std::make_unique<DirectDoors>(strand_, settings, ice_, uuid(), clock_, weak_from_this());
+    // What is TLS to the server is TLS to a client, and who comes through a router reaches no endpoint behind
+    // it.
+    if (way_ != WayToServer::Router && settings.offered)
+        doors_ = std::make_unique<DirectDoors>(strand_, settings, ice_, uuid(), clock_, weak_from_this(),
+                                               way_ == WayToServer::Tls);
 }
 
 void EntityManager::start() {
@@ -216,7 +220,13 @@ void EntityManager::handleRelayed(direct::Keeping keeping, const Header& head, c
     const auto deliver = [this](const Header& its_head, const std::string& its) {
         core_->onClientMsg(its_head, its);
     };
-    if (direct_desk_->relayed(keeping, head, bytes, deliver)) core_->onClientMsg(head, bytes);
+    if (direct_desk_->relayed(keeping, head, bytes, deliver) && !core_->onClientMsg(head, bytes))
+        ++passed_on_;
+}
+
+bool EntityManager::handleDirect(const Id128& path, direct::Keeping keeping, Header& head,
+                                 std::string& bytes) {
+    return direct_desk_->arrived(path, keeping, head, bytes) && !core_->onClientMsg(head, bytes);
 }
 
 void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal) {
@@ -272,13 +282,12 @@ bool EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header
     if (stopped_) return true;
     if (!inbox_.scheduled()) {
         // Nothing waits, so it need not.
-        if (direct_desk_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
+        if (!handleDirect(path, keeping, head, bytes)) direct_changed_ = true;
         return true;
     }
     const auto size = bytes.size();
     Inbox::Event event = [this, path, keeping, its_head = head, its_bytes = bytes]() mutable {
-        if (direct_desk_->arrived(path, keeping, its_head, its_bytes))
-            core_->onClientMsg(its_head, its_bytes);
+        if (handleDirect(path, keeping, its_head, its_bytes)) ++passed_on_;
     };
     const auto verdict = keeping == direct::Keeping::Droppable
                              ? inbox_.pushData(std::move(event), size)
@@ -293,7 +302,7 @@ bool EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header
 }
 
 void EntityManager::directTurnEnded() {
-    afterEvents();
+    if (std::exchange(direct_changed_, false)) afterEvents();
 }
 
 void EntityManager::letDirectGoOn() {
@@ -350,8 +359,7 @@ void EntityManager::onLinkSlow(const std::string& what) {
 }
 
 void EntityManager::onLinkMessage(const proto::EiToEm& message) {
-    core_->onLinkMessage(message);
-    afterEvents();
+    if (core_->onLinkMessage(message)) afterEvents();
 }
 
 void EntityManager::wake(Inbox::Verdict verdict, RunOn where) {
@@ -390,13 +398,17 @@ void EntityManager::wake(Inbox::Verdict verdict, RunOn where) {
 
 void EntityManager::drain() noexcept {
     bool left = true;
-    for (int handled = 0; left && handled < kEventsPerTurn; ++handled) {
+    int handled = 0;
+    passed_on_ = 0;
+    while (left && handled < kEventsPerTurn) {
         const auto event = inbox_.take();
         left = static_cast<bool>(event);
-        if (left && !stopped_) event();
+        if (!left) break;
+        ++handled;
+        if (!stopped_) event();
     }
-    hearServer();  // after take(): a beat that was told that the strand comes is not left behind
-    afterEvents();
+    // After take(): a beat that was told that the strand comes is not left behind.
+    if (hearServer() || passed_on_ < handled) afterEvents();
     letDirectGoOn();
     if (!left) return;
     asio::post(strand_, [weak = weak_from_this()] {
@@ -404,8 +416,10 @@ void EntityManager::drain() noexcept {
     });
 }
 
-void EntityManager::hearServer() {
-    if (server_heard_.exchange(false) && !stopped_) core_->onServerHeartbeat();
+bool EntityManager::hearServer() {
+    if (!server_heard_.load() || !server_heard_.exchange(false)) return false;
+    if (!stopped_) core_->onServerHeartbeat();
+    return true;
 }
 
 void EntityManager::afterEvents() {

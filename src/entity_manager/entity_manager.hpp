@@ -64,8 +64,9 @@ class EntityManager final : public ServerEvents,
     const DatagramDesk* datagrams() const { return datagrams_.get(); }
 
     /// Before start(): the holder may talk to it without the servers in between (docs/reference/direct.md).
-    /// Costs two threads, that of the signal lane and one that watches its port. Without effect where the way
-    /// to the server is TLS or leads through a router.
+    /// Costs three threads: that of the signal lane, one that watches its port, and one that reads data;
+    /// where the way to the server is TLS, so is this one, and one more sets up its connections. Without
+    /// effect where the way to the server leads through a router.
     void offerDirect(const DirectSettings& settings);
     /// Whether the holder does; any thread, as of the last event.
     bool direct() const { return direct_.load(); }
@@ -102,8 +103,9 @@ class EntityManager final : public ServerEvents,
     void directClosed(const Id128& path, const std::string& why) override;
 
   private:
+    enum class WayToServer : std::uint8_t { Plain, Tls, Router };
     EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
-                  std::shared_ptr<ServerCommunicators> ice, bool plain_way);
+                  std::shared_ptr<ServerCommunicators> ice, WayToServer way);
 
     // BackEndEvents, on the strand.
     void onLinkUp() override;
@@ -119,6 +121,8 @@ class EntityManager final : public ServerEvents,
     Inbox::Verdict passSignal(Inbox::Signal kind, Inbox::Event event, SenderKey from = kServersOwn);
     /// On the strand, of one that came by the servers.
     void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes);
+    /// On the strand, of one that came by the direct path. Whether afterEvents() has nothing to look at.
+    bool handleDirect(const Id128& path, direct::Keeping keeping, Header& head, std::string& bytes);
     template <class Use>
     void onStrand(Use use);
     /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor.
@@ -128,7 +132,7 @@ class EntityManager final : public ServerEvents,
     /// An Ice thread may run it: what escaped here would be swallowed there, and leave a manager that hears
     /// nothing.
     void drain() noexcept;
-    void hearServer();
+    bool hearServer();
     void afterEvents();
     /// Messages of the direct path wait for room, and there is some.
     void letDirectGoOn();
@@ -143,7 +147,7 @@ class EntityManager final : public ServerEvents,
     StopGenerations stop_generations_;
     BackEnd back_end_;
     const std::shared_ptr<ServerCommunicators> ice_;
-    const bool plain_way_;  // to the server: neither TLS nor a router
+    const WayToServer way_;
     std::unique_ptr<EntityCommunicator> server_;
     std::unique_ptr<DirectDesk> direct_desk_;  // between it and the core
     std::unique_ptr<DirectDoors> doors_;       // null: no direct path is offered
@@ -157,6 +161,8 @@ class EntityManager final : public ServerEvents,
     std::atomic<bool> server_heard_{false};    // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};         // a control overflow on its way to the strand
     std::optional<std::size_t> direct_waits_;  // the bytes for which the direct path needs room
+    int passed_on_ = 0;                        // messages of this turn that have changed nothing here
+    bool direct_changed_ = false;              // by what came by the direct path in this turn
     bool latched_ = false;
     bool stopped_ = false;
     std::unique_ptr<DatagramDesk> datagrams_;  // last, so that its thread ends first

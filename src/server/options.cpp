@@ -188,12 +188,18 @@ Parsed parseOptions(int argc, char** argv) {
     std::string user_to_add;
     std::string global_services;
     bool plain_tcp = false;
+    int base_port = -1;
     std::map<std::string, std::string> endpoints;
     Options options;
     app.add_option("--config", files,
                    "Configuration file (frontendserver.cfg, entityserver.cfg) with lines KEY = VALUE; repeat "
                    "it for several files (docs/reference/server_configuration.md)");
     app.add_option("--listen", listen, "Address on which all ports listen (127.0.0.1)");
+    app.add_option(
+           "--base-port", base_port,
+           "First of the four ports, which follow each other (10410); 0 takes free ports. The four options "
+           "below override it")
+        ->check(CLI::Range(0, 65532));
     app.add_option("--client-endpoint", endpoints["client"],
                    "HOST:PORT or ssl://HOST:PORT for clients (127.0.0.1:10410); port 0 chooses a free port");
     app.add_option("--client-signal-endpoint", endpoints["client-signal"],
@@ -246,18 +252,24 @@ Parsed parseOptions(int argc, char** argv) {
             "--user-role is only for --add-user; fix: leave it out, or add --add-user NAME");
     setRole(settings, role);
     findGlobalServices(settings, files);
-    for (const auto& [name, to] :
-         std::map<std::string, std::string*>{{"client", &settings.client_endpoint},
-                                             {"client-signal", &settings.client_signal_endpoint},
-                                             {"entity", &settings.entity_endpoint},
-                                             {"entity-signal", &settings.entity_signal_endpoint}}) {
+    int port = base_port;
+    const std::pair<std::string, std::string*> lanes[] = {
+        {"client", &settings.client_endpoint},
+        {"client-signal", &settings.client_signal_endpoint},
+        {"entity", &settings.entity_endpoint},
+        {"entity-signal", &settings.entity_signal_endpoint}};
+    for (const auto& [name, to] : lanes) {
         if (!endpoints[name].empty()) {
             *to = endpoints[name];
-        } else if (!listen.empty()) {
+        } else if (!listen.empty() || base_port >= 0) {
             auto all = transport::parseEndpoints(*to);
-            for (auto& endpoint : all) endpoint.host = listen;
+            for (auto& endpoint : all) {
+                if (!listen.empty()) endpoint.host = listen;
+                if (base_port >= 0) endpoint.port = static_cast<std::uint16_t>(port);
+            }
             *to = transport::textOf(all);
         }
+        if (base_port > 0) ++port;
         const bool unused = name.starts_with("client") ? settings.role == ServerRole::Entity
                                                        : settings.role == ServerRole::FrontEnd;
         if (!unused) checkEndpoints(*to, !settings.users_file.empty(), settings.plain_tcp);

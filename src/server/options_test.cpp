@@ -11,6 +11,8 @@
 #include <string>
 #include <vector>
 
+#include "transport/ice/endpoint.hpp"
+
 namespace axon::server {
 namespace {
 
@@ -38,6 +40,24 @@ TEST(ServerOptions, ListensElsewhereOnlyWithUsers) {
     EXPECT_EQ(
         parse({"--listen", "0.0.0.0", "--users", "users.cfg", "--plain-tcp"}).options->settings.users_file,
         "users.cfg");
+}
+
+TEST(ServerOptions, TheFourPortsFollowTheBasePort) {
+    using Addresses = std::vector<std::string>;
+    const auto addresses = [](const std::vector<std::string>& words) {
+        const auto settings = parse(words).options->settings;
+        Addresses all;
+        for (const auto& text : {settings.client_endpoint, settings.client_signal_endpoint,
+                                 settings.entity_endpoint, settings.entity_signal_endpoint})
+            all.push_back(transport::parseEndpoint(text).address());
+        return all;
+    };
+    EXPECT_EQ(addresses({"--base-port", "20000"}),
+              (Addresses{"127.0.0.1:20000", "127.0.0.1:20001", "127.0.0.1:20002", "127.0.0.1:20003"}));
+    EXPECT_EQ(addresses({"--base-port", "20000", "--entity-endpoint", "127.0.0.1:7"}),
+              (Addresses{"127.0.0.1:20000", "127.0.0.1:20001", "127.0.0.1:7", "127.0.0.1:20003"}));
+    EXPECT_EQ(addresses({"--base-port", "0", "--listen", "127.0.0.2"}), Addresses(4, "127.0.0.2:0"));
+    EXPECT_EQ(parse({"--base-port", "65533"}).exit_code, 2) << "there is no fourth port";
 }
 
 TEST(ServerOptions, SaysWhatAddUserNeeds) {

@@ -1,35 +1,70 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The direct path: the client library, the servers and the real Entity Manager over loopback, and relays in
-// the direct path's two connections that cut them or fall silent. And somebody who knocks at the Entity
-// Manager's door without a right to.
+// the direct path's two connections that cut them or fall silent. All of that over plain TCP, and in a
+// laboratory whose connections are TLS. And somebody who knocks at the Entity Manager's door without a right
+// to.
 #include <axon/directcomm.h>
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 
 #include <axon/client.hpp>
+#include <filesystem>
 #include <future>
+#include <map>
+#include <optional>
 
 #include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
 #include "component/with_manager.hpp"
 #include "direct/proof.hpp"
+#include "support/certificate_folder.hpp"
 #include "support/lane_stranger.hpp"
 #include "support/loopback.hpp"
+#include "support/tcp_silence.hpp"
 #include "support/tcp_valve.hpp"
 
 namespace axon {
 namespace {
 
 using namespace std::chrono_literals;
+using certificates::Kind;
 using client::CheckOut;
 using client::Client;
+using test::LaneStranger;
 using test::RawClient;
 using test::TcpValve;
 using test::waitUntil;
 
-class DirectPathTest : public test::WithManager {
+enum class Speaks { Plain, Tls };
+
+/// What a program is configured with that uses this certificate.
+std::map<std::string, std::string> propertiesOf(const std::filesystem::path& configuration) {
+    const auto properties = Ice::createProperties();
+    properties->load(configuration.string());
+    return properties->getPropertiesForPrefix("Ice");
+}
+
+class DirectPathTest : public test::WithManager, public testing::WithParamInterface<Speaks> {
   protected:
     void SetUp() override { startServer(); }
+    bool tls() const { return GetParam() == Speaks::Tls; }
+    void startServer(server::ServerSettings settings = test::onLoopback()) {
+        if (tls()) {
+            laboratory_.emplace();
+            settings.ice_properties =
+                propertiesOf(laboratory_->issue(Kind::Server, {test::loopbackAddress()}));
+            for (auto* endpoint : {&settings.client_endpoint, &settings.client_signal_endpoint,
+                                   &settings.entity_endpoint, &settings.entity_signal_endpoint})
+                *endpoint = "ssl://" + *endpoint;
+            entityShows(Kind::Entity, "PeopleBot");
+        }
+        WithManager::startServer(std::move(settings));
+    }
+    /// Before its Entity Manager is there.
+    void entityShows(Kind kind, const std::string& name) {
+        ice_ = std::make_shared<entity_manager::ServerCommunicators>(
+            1, 1, propertiesOf(laboratory_->issue(kind, {name})));
+    }
     /// Clients are told of relays where the Entity Manager listens: first that of data, then that of signals.
     void startManager(bool offered = true, bool with_valves = true) {
         createManagerOfMemoryRobot(core_);
@@ -37,6 +72,7 @@ class DirectPathTest : public test::WithManager {
         direct.offered = offered;
         if (with_valves) {
             direct.named = [this](const std::string& endpoint) {
+                listens_at_.push_back(endpoint);
                 valves_.push_back(std::make_unique<TcpValve>(endpoint));
                 return valves_.back()->address();
             };
@@ -50,6 +86,7 @@ class DirectPathTest : public test::WithManager {
         options.display_name = "client1@lab";
         options.direct = direct;
         options.direct_paths = paths;
+        if (tls()) options.properties = propertiesOf(laboratory_->issue(Kind::Client, {"client1"}));
         auto client = connected(options);
         EXPECT_TRUE(client && client->waitFor("PeopleBot", client::Seconds{5}).ok());
         return client;
@@ -67,11 +104,13 @@ class DirectPathTest : public test::WithManager {
         ASSERT_TRUE(waitUntil([&] { return held.sendText(text).ok(); }));
     }
 
-    entity_manager::EntityManagerCoreSettings core_;  // of the Entity Manager
+    std::optional<test::CertificateFolder> laboratory_;  // with TLS
+    entity_manager::EntityManagerCoreSettings core_;     // of the Entity Manager
+    std::vector<std::string> listens_at_;                // the Entity Manager, behind the valves
     std::vector<std::unique_ptr<TcpValve>> valves_;
 };
 
-TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
+TEST_P(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
     startManager();
     const auto held = take();
     std::atomic<int> heard{0};
@@ -88,7 +127,7 @@ TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
     EXPECT_EQ(seen_.texts.front(), text);
 }
 
-TEST_F(DirectPathTest, ACallbackThatDoesNotReturnHoldsUpNoAnswer) {
+TEST_P(DirectPathTest, ACallbackThatDoesNotReturnHoldsUpNoAnswer) {
     startManager();
     const auto held = take();
     std::promise<void> entered, back;
@@ -109,7 +148,7 @@ TEST_F(DirectPathTest, ACallbackThatDoesNotReturnHoldsUpNoAnswer) {
     ASSERT_TRUE(waitUntil([&] { return heard == 2; }));
 }
 
-TEST_F(DirectPathTest, TasksAndTheirRefusalsAreTheSameByEitherWay) {
+TEST_P(DirectPathTest, TasksAndTheirRefusalsAreTheSameByEitherWay) {
     startManager();
     for (const bool direct_way : {true, false}) {
         client_ = connect(direct_way);
@@ -139,7 +178,7 @@ TEST_F(DirectPathTest, TasksAndTheirRefusalsAreTheSameByEitherWay) {
     EXPECT_EQ(seen_.tasks, 4);
 }
 
-TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesBack) {
+TEST_P(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesBack) {
     startManager();
     const auto held = take();
     std::mutex mutex;
@@ -194,7 +233,7 @@ TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesB
     EXPECT_EQ(held.entity().state, EntityState::REG) << "the lease has not noticed";
 }
 
-TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
+TEST_P(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     startManager();
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
@@ -217,7 +256,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     EXPECT_EQ(seen_.count(), 1U);
 }
 
-TEST_F(DirectPathTest, TheSessionsWithTheServerKeepTheirShortWatchdogsFedBesideThePath) {
+TEST_P(DirectPathTest, TheSessionsWithTheServerKeepTheirShortWatchdogsFedBesideThePath) {
     auto settings = test::onLoopback();
     settings.front_end.watchdog_busy = 200ms;
     settings.front_end.watchdog_idle = 1000ms;
@@ -245,7 +284,7 @@ TEST_F(DirectPathTest, TheSessionsWithTheServerKeepTheirShortWatchdogsFedBesideT
     EXPECT_TRUE(direct(held));
 }
 
-TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt) {
+TEST_P(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt) {
     startManager();
     const auto held = take();
     std::atomic<bool> heard{false};
@@ -267,7 +306,38 @@ TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt)
     EXPECT_EQ(seen_.count(), 1U);
 }
 
-TEST_F(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSilent) {
+// The signal lane beats on, and neither end of the data lane is told anything. Only the kernel's half minute,
+// which is shortened here, ends the path.
+TEST_P(DirectPathTest, SilenceOfTheDataLaneAloneEndsThePathAndEverythingIsRelayed) {
+    startManager();
+    const auto held = take();
+    std::atomic<int> heard{0};
+    held.onText([&](const std::string&) { ++heard; });
+    for (const bool to_robot : {true, false}) {
+        ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+        const auto valve = valves_.at(0)->address(), manager = listens_at_.at(0);
+        const int sender = to_robot ? test::socketBetween("", valve) : test::socketBetween(manager, "");
+        const int receiver = to_robot ? test::socketBetween(valve, "") : test::socketBetween("", manager);
+        ASSERT_TRUE(test::losePatienceAfter(sender, 100ms));
+        ASSERT_TRUE(test::deafen(receiver));
+        const auto signals = valves_.at(1)->bytes();
+        for (int i = 0; i < 3; ++i) {
+            if (to_robot) {
+                send(held, "client to robot");
+            } else {
+                robot_->text("robot to client");
+            }
+        }
+        const auto come = [&] { return to_robot ? seen_.count() == 3 : heard == 3; };
+        ASSERT_TRUE(waitUntil(come)) << "through the servers";
+        EXPECT_GT(valves_.at(1)->bytes(), signals) << "the signal lane lives";
+    }
+    ASSERT_TRUE(waitUntil([&] { return direct(held); })) << "another path";
+    EXPECT_EQ(seen_.count(), 3U);
+    EXPECT_EQ(heard, 3);
+}
+
+TEST_P(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSilent) {
     startManager();
     auto held = take();
     for (int round = 1; round <= 3; ++round) {
@@ -284,7 +354,7 @@ TEST_F(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSil
         EXPECT_EQ(seen_.texts.at(i), i % 2 == 0 ? "the last words" : "the first ones");
 }
 
-TEST_F(DirectPathTest, WhoSendsFasterThanIsHandledIsHeldBackAndLosesNothing) {
+TEST_P(DirectPathTest, WhoSendsFasterThanIsHandledIsHeldBackAndLosesNothing) {
     startManager();
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
@@ -303,7 +373,7 @@ TEST_F(DirectPathTest, WhoSendsFasterThanIsHandledIsHeldBackAndLosesNothing) {
     EXPECT_EQ(seen_.count(), sent);
 }
 
-TEST_F(DirectPathTest, NoMorePathsThanMayBe) {
+TEST_P(DirectPathTest, NoMorePathsThanMayBe) {
     startManager();
     client_ = connect(true, 0);
     const auto held = take();
@@ -313,7 +383,7 @@ TEST_F(DirectPathTest, NoMorePathsThanMayBe) {
     EXPECT_EQ(directBytes(), 0U);
 }
 
-TEST_F(DirectPathTest, AResetThatComesByAllWaysCountsOnce) {
+TEST_P(DirectPathTest, AResetThatComesByAllWaysCountsOnce) {
     startManager();
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
@@ -335,7 +405,7 @@ TEST_F(DirectPathTest, AResetThatComesByAllWaysCountsOnce) {
         << "the second copy of the reset must not end it";
 }
 
-TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
+TEST_P(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
     startManager();
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
@@ -351,7 +421,7 @@ TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
     }
 }
 
-TEST_F(DirectPathTest, EachStageOfAReceiptReachesTheHolderByTheDirectPath) {
+TEST_P(DirectPathTest, EachStageOfAReceiptReachesTheHolderByTheDirectPath) {
     startManager();
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
@@ -365,7 +435,7 @@ TEST_F(DirectPathTest, EachStageOfAReceiptReachesTheHolderByTheDirectPath) {
     EXPECT_TRUE(receipts->front().atRest());
 }
 
-TEST_F(DirectPathTest, TheEndOfTheLeaseEndsThePathAndTheNextHolderHasItsOwn) {
+TEST_P(DirectPathTest, TheEndOfTheLeaseEndsThePathAndTheNextHolderHasItsOwn) {
     startManager();
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
@@ -380,7 +450,7 @@ TEST_F(DirectPathTest, TheEndOfTheLeaseEndsThePathAndTheNextHolderHasItsOwn) {
     ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
 }
 
-TEST_F(DirectPathTest, TheEndOfTheSessionWithTheServerEndsThePath) {
+TEST_P(DirectPathTest, TheEndOfTheSessionWithTheServerEndsThePath) {
     startManager();
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
@@ -390,7 +460,7 @@ TEST_F(DirectPathTest, TheEndOfTheSessionWithTheServerEndsThePath) {
     EXPECT_EQ(seen_.count(), 0U);
 }
 
-TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
+TEST_P(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
     startManager();
     client_ = connect(false);
     {
@@ -411,8 +481,86 @@ TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
     EXPECT_FALSE(held.direct() || manager_->direct());
 }
 
+INSTANTIATE_TEST_SUITE_P(, DirectPathTest, testing::Values(Speaks::Plain, Speaks::Tls),
+                         [](const auto& one) { return one.param == Speaks::Tls ? "Tls" : "Plain"; });
+
+/// In a laboratory with TLS.
+class SecuredPathTest : public DirectPathTest {};
+INSTANTIATE_TEST_SUITE_P(, SecuredPathTest, testing::Values(Speaks::Tls), [](const auto&) { return "Tls"; });
+
+TEST_P(SecuredPathTest, NothingOfWhatIsSaidGoesInClear) {
+    startManager(true, false);
+    const auto endpoint = [&] {
+        RawClient raw(server_->clientAddress(Lane::Data), "x@lab", false, "", "",
+                      propertiesOf(laboratory_->issue(Kind::Client, {"client1"})));
+        const auto granted = test::checkOut(raw, manager_->uuid(), random_);
+        EXPECT_EQ(granted.direct_endpoint().rfind("ssl://127.", 0), 0U) << granted.direct_endpoint();
+        EXPECT_EQ(granted.direct_signal_endpoint().rfind("ssl://127.", 0), 0U);
+        return granted.direct_endpoint().substr(std::string("ssl://").size());
+    }();
+    LaneStranger plain(endpoint);
+    plain.say("anybody there?\r\n");
+    EXPECT_FALSE(plain.awaitFrame()) << "not even a nonce";
+}
+
+TEST_P(SecuredPathTest, AClientWithoutTheHoldersKeyIsRefusedWhateverItsCertificate) {
+    startManager(true, false);
+    RawClient raw(server_->clientAddress(Lane::Data), "x@lab", false, "", "",
+                  propertiesOf(laboratory_->issue(Kind::Client, {"client1"})));
+    const auto granted = test::checkOut(raw, manager_->uuid(), random_);
+    const auto endpoint = granted.direct_endpoint().substr(std::string("ssl://").size());
+    for (const auto kind : {Kind::Client, Kind::Entity, Kind::Server}) {
+        const auto tls =
+            direct::lane::Tls::of(laboratory_->credentials(kind, "client1"), test::CertificateFolder::now);
+        const direct::Claim claim{Lane::Data,
+                                  {static_cast<std::int32_t>(granted.lease().epoch()),
+                                   static_cast<std::int32_t>(granted.lease().number())},
+                                  Id128::parse(raw.facts.me.id).value(),
+                                  Id128::random(random_),
+                                  {}};
+        LaneStranger knocks(endpoint, tls.get(), "PeopleBot");
+        ASSERT_TRUE(knocks.channelOpen());
+        knocks.claim = claim;
+        knocks.awaitNonce();
+        EXPECT_EQ(knocks.open(Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
+        LaneStranger holder(endpoint, tls.get(), "PeopleBot");
+        holder.claim = claim;
+        holder.awaitNonce();
+        EXPECT_EQ(holder.open(granted.lease().key()), RefusalCode::Ok);
+    }
+    const test::CertificateFolder others;
+    auto stranger = others.credentials(Kind::Client, "client1");
+    stranger.authorities = laboratory_->credentials(Kind::Client, "client1").authorities;
+    const auto tls = direct::lane::Tls::of(stranger, test::CertificateFolder::now);
+    LaneStranger knocks(endpoint, tls.get(), "PeopleBot");
+    EXPECT_TRUE(knocks.awaitClosed());
+}
+
+// The servers have let it in, and it has not checked what it is told.
+TEST_P(SecuredPathTest, WithoutACertificateThatGnuTlsReadsEverythingIsRelayed) {
+    auto properties = propertiesOf(laboratory_->issue(Kind::Client, {"client1"}));
+    const std::filesystem::path folder = properties["IceSSL.DefaultDir"];
+    properties["IceSSL.CAs"] = folder.string();  // IceSSL looks for its CAs in a folder, too
+    properties["IceSSL.VerifyPeer"] = "0";
+    startManager();
+    client::Options options;
+    options.display_name = "client1@lab";
+    options.properties = properties;
+    client_ = connected(options);
+    ASSERT_TRUE(client_ && client_->waitFor("PeopleBot", client::Seconds{5}).ok());
+    const auto held = take();
+    send(held, "relayed");
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
+    EXPECT_FALSE(held.direct());
+    EXPECT_EQ(directBytes(), 0U);
+}
+
+/// Peers without our library, over plain TCP.
+class PlainPathTest : public DirectPathTest {};
+INSTANTIATE_TEST_SUITE_P(, PlainPathTest, testing::Values(Speaks::Plain),
+                         [](const auto&) { return "Plain"; });
+
 namespace slice = ::Axon::DirectComm;
-using test::LaneStranger;
 
 /// At the port of signals.
 class Stranger {
@@ -462,7 +610,7 @@ class Stranger {
     std::shared_ptr<slice::DirectCallbackPrx> callback_;
 };
 
-TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
+TEST_P(PlainPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     startManager(true, false);
     RawClient raw(server_->clientAddress(Lane::Data));
     const auto granted = test::checkOut(raw, manager_->uuid(), random_);
@@ -553,7 +701,7 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
 }
 
 // The servers keep the record of who rearmed.
-TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
+TEST_P(PlainPathTest, ARearmEndsThePathThatBringsIt) {
     startManager(true, false);
     RawClient raw(server_->clientAddress(Lane::Data));
     const auto granted = test::checkOut(raw, manager_->uuid(), random_);

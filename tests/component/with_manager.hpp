@@ -13,6 +13,7 @@
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
 #include "server/server.hpp"
+#include "transport/ice/endpoint.hpp"
 
 namespace axon::test {
 
@@ -24,10 +25,9 @@ class WithManager : public ::testing::Test {
   protected:
     void startServer(server::ServerSettings settings = onLoopback()) {
         server_ = std::make_unique<server::Server>(std::move(settings));
-        const auto at = server_->entityAddress(Lane::Data);
-        const auto colon = at.rfind(':');
-        entity_server_ = {at.substr(0, colon), static_cast<std::uint16_t>(std::stoi(at.substr(colon + 1))),
-                          "", ""};
+        const auto at = transport::parseEndpoint(server_->entityAddress(Lane::Data));
+        entity_server_ = {at.host, at.port, "", ""};
+        entity_server_.tls = at.tls;
     }
     /// At the newest server, whether it still runs or not. Says nothing before manager_->start().
     void createManager(entity_manager::EntityManagerCoreSettings core,
@@ -76,7 +76,7 @@ class WithManager : public ::testing::Test {
     std::unique_ptr<server::Server> server_;
     entity_manager::ServerAddress entity_server_;
     asio::thread_pool executor_{1};
-    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
+    std::shared_ptr<entity_manager::ServerCommunicators> ice_ =  // a test may choose others, at first
         std::make_shared<entity_manager::ServerCommunicators>(1, 1);
     std::shared_ptr<EntityManager> manager_;
     std::unique_ptr<client::Client> client_;

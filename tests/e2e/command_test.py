@@ -11,8 +11,11 @@ A test begins with the entity idle and rearmed.
 import json
 import os
 import pathlib
+import pty
+import select
 import shutil
 import signal
+import subprocess
 import sys
 import unittest
 
@@ -111,6 +114,28 @@ class CommandTest(unittest.TestCase):
         self.assertEqual([id for id in ids if id not in listed], [], "every id that was printed is listed")
         states = [listed[id]["state"] for id in ids]
         self.assertEqual({state: states.count(state) for state in states}, {"REFUSED": 7, "RUNNING": 1, "QUEUED": WAITING_TASKS})
+
+    def test_a_request_reaches_the_terminal_of_the_holder_at_once(self):
+        seen, terminal = pty.openpty()
+        self.addCleanup(os.close, seen)
+        self.addCleanup(os.close, terminal)
+        done = subprocess.run([BIN / "axon", "agent", "--notify"], env=self.lab.env, stdin=terminal, capture_output=True, timeout=30, check=False)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        elsewhere = self.lab.folder / "asker"
+        elsewhere.mkdir(mode=0o700)
+        asker = self.lab.axon_in_background("asker", "checkout", "Workbench", "--ask", "for a demonstration",
+                                            env=dict(self.lab.env, XDG_RUNTIME_DIR=str(elsewhere)))
+        told = b""
+
+        def comes():
+            nonlocal told
+            if select.select([seen], [], [], 0)[0]:
+                told += os.read(seen, 4096)
+            return b"asks for Workbench: for a demonstration" in told
+        wait_until(comes, "the terminal is told who asks")
+        self.assertIn(b"axon handover Workbench accept", told)
+        self.does("handover", "Workbench", "refuse")
+        self.assertEqual(asker.child.wait(20), 1, asker.text())
 
     def test_a_list_of_tasks_says_what_it_leaves_out(self):
         self.does("stop", "Workbench")

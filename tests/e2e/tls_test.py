@@ -6,6 +6,7 @@
 """
 import os
 import pathlib
+import signal
 import sys
 import unittest
 
@@ -59,13 +60,13 @@ class TlsTest(unittest.TestCase):
     def use(self, file):
         self.lab.env["AXON_CONFIG"] = str(file)
 
-    def start_entity(self, certificate, folder="certs"):
+    def start_entity(self, certificate, *more, folder="certs"):
         ports = self.lab.folder / "ports.cfg"
         ports.write_text(f"Axon.Ports = {self.lab.ports}\n")
         self.lab.start("hello", "hello-entity", ROOT / "examples/01_hello_entity", ports)
         return self.lab.start("em", "axon-entity-manager", "--config", self.configuration(
             certificate, "Axon.Application=Greeter", f"Axon.Ports={self.lab.ports}",
-            f"Axon.Server={self.at['entity']}", folder=folder))
+            f"Axon.Server={self.at['entity']}", *more, folder=folder))
 
     def test_list_run_and_stop(self):
         self.start_entity("entity-Greeter")
@@ -73,6 +74,30 @@ class TlsTest(unittest.TestCase):
         status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
         self.assertEqual(status, 0, f"{lines} {errors}")
         status, lines, errors = self.lab.axon("stop", "Greeter")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        self.assertIn("callback_returned", str(lines))
+
+    def is_direct(self):
+        status, lines, errors = self.lab.axon("info", "Greeter")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        return [line["entity"]["direct"] for line in lines if line["event"] == "entity"][-1]
+
+    def test_the_holder_works_over_the_direct_path_and_stops_by_it_when_the_server_hangs(self):
+        manager = self.start_entity("entity-Greeter", "Axon.Datagrams=off")  # a way of stops less
+        self.lab.wait_for_entity("Greeter")
+        status, lines, errors = self.lab.axon("checkout", "Greeter")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        self.addCleanup(self.lab.axon, "agent", "stop")
+        wait_until(self.is_direct, "the direct path is taken")
+        status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        self.assertTrue(self.is_direct())
+        self.assertNotIn("was refused", manager.text())
+        self.server.child.send_signal(signal.SIGSTOP)
+        try:
+            status, lines, errors = self.lab.axon("stop", "Greeter")
+        finally:
+            self.server.child.send_signal(signal.SIGCONT)
         self.assertEqual(status, 0, f"{lines} {errors}")
         self.assertIn("callback_returned", str(lines))
 

@@ -226,7 +226,8 @@ std::unique_ptr<test::LaneStranger> knock(const std::string& endpoint, const dir
 struct Place {
     Place() {
         spdlog::set_level(spdlog::level::off);
-        door = std::make_unique<DirectDoor>(strand, *ice, "127.0.0.1", DirectPorts{}, kEntity, clock, events);
+        door = std::make_unique<DirectDoor>(strand, *ice, "127.0.0.1", DirectPorts{}, kEntity, clock, events,
+                                            nullptr);
         communicator = transport::makeCommunicator({"axon-fuzz", Lane::Data, 1, 1, quiet()});
         for (auto& knocker : signal)
             knocker = std::make_unique<Knocker>(*communicator.communicator(), door->signalEndpoint());

@@ -487,8 +487,8 @@ class HostileTest(unittest.TestCase):
     def test_a_damaged_identity_is_an_error_and_no_new_robot(self):
         self.client().find("Counter")
         state = self.lab.folder / "damaged"
-        shutil.copytree(self.state_folder(), state, ignore=lambda _, names: [name for name in names if not name.endswith(".value")])
-        uuid_file = state / f"{'uuid'.encode().hex()}.value"
+        shutil.copytree(self.state_folder(), state, ignore=lambda _, names: [name for name in names if not name.endswith(".state")])
+        uuid_file = state / "uuid.state"
         for content in (b"", b"\0" * 36, uuid_file.read_bytes()[:20]):
             uuid_file.write_bytes(content)
             done = self.manager_on(state)

@@ -7,24 +7,31 @@
 
 #include <array>
 #include <cerrno>
+#include <memory>
 #include <optional>
+#include <span>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 
 #include "common/descriptor.hpp"
 #include "common/frame.hpp"
 #include "common/refusal.hpp"
 #include "direct/lane/frames.hpp"
 #include "direct/lane/opening.hpp"
+#include "direct/lane/tls_channel.hpp"
 #include "direct/proof.hpp"
+#include "support/tcp_silence.hpp"
 
 namespace axon::test {
 
-/// Somebody at the data port of an Entity Manager's direct paths, who says what a test wants. Threads: the
-/// test's, which waits up to 5 s for an answer.
+/// Somebody at the data port of an Entity Manager's direct paths, who says what a test wants, over TLS where
+/// it is given that. Threads: the test's, which waits up to 5 s for an answer.
 class LaneStranger {
   public:
-    explicit LaneStranger(const std::string& endpoint) {
+    /// `name`: of the entity whose certificate is expected.
+    explicit LaneStranger(const std::string& endpoint, const direct::lane::Tls* tls = nullptr,
+                          const std::string& name = {}) {
         const auto colon = endpoint.rfind(':');
         sockaddr_in to{};
         to.sin_family = AF_INET;
@@ -34,7 +41,16 @@ class LaneStranger {
         ::setsockopt(socket_.get(), SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
         if (::connect(socket_.get(), reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0)
             throw std::runtime_error("LaneStranger: nobody listens at " + endpoint);
+        channel_ =
+            tls != nullptr ? tls->toEntity(name, wire_) : std::make_unique<direct::lane::PlainChannel>(wire_);
+        channel_state_ = channel_->filled(reader_, 0);
+        while (channel_state_ == direct::lane::Channel::State::Opening && receive()) {
+        }
     }
+    LaneStranger(const LaneStranger&) = delete;
+    LaneStranger& operator=(const LaneStranger&) = delete;
+    /// The handshake is done, where there is one.
+    bool channelOpen() const { return channel_state_ == direct::lane::Channel::State::Open; }
 
     direct::Claim claim{};
     std::string proof;  ///< of the Entity Manager, after open()
@@ -79,26 +95,27 @@ class LaneStranger {
         if (bytes) say(std::string(bytes->view()) + content);
     }
     void say(const std::string& bytes) {
-        for (std::size_t at = 0; at < bytes.size();) {
-            const auto sent = ::send(socket_.get(), bytes.data() + at, bytes.size() - at, MSG_NOSIGNAL);
-            if (sent <= 0) return;  // it is closed, which the test asks for
-            at += static_cast<std::size_t>(sent);
+        for (std::string_view left(bytes); !left.empty();) {
+            const auto taken = channel_->write({&left, 1});
+            if (!taken) return;  // it is closed, which the test asks for
+            left.remove_prefix(*taken);
         }
     }
+    /// Under TLS, not by it.
+    void sayInClear(std::string_view bytes) { static_cast<void>(wire_.write({&bytes, 1})); }
     /// Nothing where the connection is closed, or nothing comes.
     std::optional<std::string> awaitFrame() {
         std::string frame;
-        while (!reader_.next(frame)) {
-            std::array<char, 4096> bytes{};
-            const auto came = ::recv(socket_.get(), bytes.data(), bytes.size(), 0);
-            closed_ = came == 0 || (came < 0 && errno == ECONNRESET);
-            if (came <= 0) return std::nullopt;
-            reader_.feed({bytes.data(), static_cast<std::size_t>(came)});
-        }
+        while (!reader_.next(frame))
+            if (!receive()) return std::nullopt;
         return frame;
     }
     /// Says no more; the other side then closes the connection when it has read everything.
     void finish() { ::shutdown(socket_.get(), SHUT_WR); }
+    /// Of this end, "a.b.c.d:port".
+    std::string address() const { return endpointOf(socket_.get(), ::getsockname); }
+    /// Without an end of the connection. Whether that could be done.
+    bool fallSilent() { return deafen(socket_.get()); }
     /// Whether the other side has closed the connection by now; what it has said is forgotten.
     bool isClosed() {
         std::array<char, 4096> bytes{};
@@ -114,8 +131,35 @@ class LaneStranger {
     }
 
   private:
+    struct Socket final : direct::lane::Wire {
+        explicit Socket(const Descriptor& its_socket) : socket(its_socket) {}
+        std::optional<std::size_t> write(std::span<const std::string_view> pieces) override {
+            std::size_t all = 0;
+            for (auto piece : pieces) {
+                all += piece.size();
+                while (!piece.empty()) {
+                    const auto sent = ::send(socket.get(), piece.data(), piece.size(), MSG_NOSIGNAL);
+                    if (sent <= 0) return std::nullopt;
+                    piece.remove_prefix(static_cast<std::size_t>(sent));
+                }
+            }
+            return all;
+        }
+        const Descriptor& socket;
+    };
+    bool receive() {
+        const auto room = channel_->room(reader_);
+        const auto came = ::recv(socket_.get(), room.data(), room.size(), 0);
+        closed_ = came == 0 || (came < 0 && errno == ECONNRESET);
+        if (came > 0) channel_state_ = channel_->filled(reader_, static_cast<std::size_t>(came));
+        return came > 0;
+    }
+
     Descriptor socket_{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
+    Socket wire_{socket_};
     FrameReader reader_{direct::lane::kMessageFrameMax};
+    std::unique_ptr<direct::lane::Channel> channel_;
+    direct::lane::Channel::State channel_state_ = direct::lane::Channel::State::Opening;
     bool closed_ = false;
 };
 

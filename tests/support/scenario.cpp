@@ -219,7 +219,8 @@ void client(CoreRig& rig, const std::string& name, Words& words) {
     }
     if (verb == "sends") {
         std::string bytes = words.need("bytes");
-        return rig.core().onClientMsg(rig.headOf(name), bytes);
+        rig.core().onClientMsg(rig.headOf(name), bytes);
+        return;
     }
     if (verb == "releases") {
         message.mutable_release();

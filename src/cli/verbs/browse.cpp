@@ -1,5 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <algorithm>
+#include <condition_variable>
+#include <map>
+#include <memory>
+#include <mutex>
 #include <tuple>
 
 #include "cli/arguments.hpp"
@@ -42,6 +46,45 @@ int ls(Session& session) {
     return kDone;
 }
 
+/// A stream is known when a sample of it comes.
+constexpr std::chrono::milliseconds kListen{250};
+
+/// The streams that an entity sends now: [name, kind], by name. Takes kListen. Threads: heard() any.
+class Streams {
+  public:
+    void heard(const Sample& sample) {
+        const auto content = Json::parse(sample.json, nullptr, false);
+        std::string kind;
+        if (content.is_object()) {
+            for (const auto& [name, value] : content.items())
+                if (value.is_object() || name == "raw") kind = name;
+        }
+        const std::lock_guard lock(mutex_);
+        if (kinds_.size() < kMost) kinds_.emplace(sample.stream, kind);
+    }
+    Json list() const {
+        const std::lock_guard lock(mutex_);
+        auto all = Json::array();
+        for (const auto& [name, kind] : kinds_) all.push_back({{"name", name}, {"kind", kind}});
+        return all;
+    }
+
+  private:
+    static constexpr std::size_t kMost = 256;
+    mutable std::mutex mutex_;
+    std::map<std::string, std::string> kinds_;  // guarded by mutex_
+};
+
+Json streamsOf(Session& session, const std::string& entity) {
+    const auto streams = std::make_shared<Streams>();
+    const auto watching =
+        session.station->watch(entity, {}, [streams](const Sample& sample) { streams->heard(sample); });
+    if (!watching) return Json::array();
+    Mailbox nothing;
+    nothing.wait(std::chrono::steady_clock::now() + kListen);
+    return streams->list();
+}
+
 int info(Session& session) {
     const auto name = session.args.at("entity").get<std::string>();
     const auto entity = session.station->find(name);
@@ -70,6 +113,10 @@ int info(Session& session) {
             for (const auto& service : details->services) list.push_back(toJson(service));
         }
     }
+    json["streams"] = details && entity->ready && !session.args.contains("service") &&
+                              !session.args.value("no-streams", false)
+                          ? streamsOf(session, entity->id)
+                          : Json::array();
     json["services"] = std::move(list);
     json["watchdogs"] = std::move(margins);
     json["findings"] = std::move(findings);
@@ -92,13 +139,14 @@ extern const Verb kLs{
     ls};
 
 extern const Verb kInfo{"info",
-                        "Show an entity, its services and what they take",
+                        "Show an entity, its services and what they take, and its streams",
                         "  axon info PeopleBot\n"
-                        "  axon info PeopleBot Driving      one service only\n",
+                        "  axon info PeopleBot Driving      one service only\n"
+                        "The streams are those that send a sample within 0.25 s.\n",
                         Runs::Anywhere,
                         {{"entity", Takes::Entity, true, false, "Name, NAME#2, or the beginning of a UUID"},
                          {"service", Takes::Service, false, false, "Show this service only"}},
-                        {},
+                        {{"no-streams", Takes::Nothing, "Do not listen for streams"}},
                         info};
 
 }  // namespace axon::cli

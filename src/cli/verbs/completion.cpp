@@ -11,6 +11,7 @@
 #include "cli/arguments.hpp"
 #include "cli/common_options.hpp"
 #include "cli/holding.hpp"
+#include "cli/manual.hpp"
 #include "cli/words.hpp"
 
 // axon completion, axon __complete
@@ -19,6 +20,8 @@ namespace {
 
 // A shell that waits for a server that is away is worse than one that completes nothing.
 constexpr std::chrono::milliseconds kPatience{300};
+// Streams are listened for, which takes its time.
+constexpr std::chrono::milliseconds kPatienceForStreams{800};
 
 // In each script a candidate that ends in '=' goes on, "__files__" asks for file names, and others end the
 // word.
@@ -53,7 +56,11 @@ _axon() {
         fi
     done < <(axon __complete $((CURRENT - 1)) "${words[@]}" 2>/dev/null)
 }
-compdef _axon axon
+if [[ ${funcstack[1]} == _axon ]]; then
+    _axon "$@"
+else
+    compdef _axon axon
+fi
 )sh";
 
 constexpr const char* kFish = R"sh(# axon completion for fish: axon completion fish | source
@@ -154,16 +161,7 @@ class Completer {
         }
         if (words.current.rfind('-', 0) == 0) return options(verb);
         if (verb == nullptr) {
-            std::vector<std::string> names;
-            for (const auto* one : verbs()) {
-                const std::string name = one->name;
-                if (one->hidden || name.compare(0, group.size(), group) != 0) continue;
-                // The next word of it: a verb, or a group once.
-                const auto next = name.substr(group.size());
-                const auto word = next.substr(0, next.find(' '));
-                if (names.empty() || names.back() != word) names.push_back(word);
-            }
-            return names;
+            return wordsAfter(group);
         }
         if (verb->operands.empty()) return {};
         const auto place = std::min(given.size(), verb->operands.size() - 1);
@@ -173,6 +171,27 @@ class Completer {
     }
 
   private:
+    /// The words that go on from "" or "global " to the name of a verb.
+    static std::vector<std::string> wordsAfter(const std::string& before) {
+        std::vector<std::string> names;
+        for (const auto* one : verbs()) {
+            const std::string name = one->name;
+            if (one->hidden || !name.starts_with(before)) continue;
+            // The next word of it: a verb, or a group once.
+            const auto next = name.substr(before.size());
+            const auto word = next.substr(0, next.find(' '));
+            if (names.empty() || names.back() != word) names.push_back(word);
+        }
+        return names;
+    }
+
+    /// For axon help: the first word of a verb, and after that of a group the second.
+    static std::vector<std::string> verbNames(const std::vector<std::string>& given) {
+        if (given.empty()) return wordsAfter({});
+        if (given.size() == 1 && findGroup(given[0]) != nullptr) return wordsAfter(given[0] + " ");
+        return {};
+    }
+
     static bool wantsValue(const Verb* verb, const std::string& word) {
         // A verb's own option comes first: --server of certs takes no value.
         for (const auto& option : verb == nullptr ? std::vector<Option>{} : verb->options) {
@@ -225,6 +244,10 @@ class Completer {
             }
             case Takes::KeyValue:
                 return parameters(given, current);
+            case Takes::Stream:
+                return streams(given);
+            case Takes::Verb:
+                return verbNames(given);
             case Takes::GlobalService: {
                 std::vector<std::string> names;
                 for (const auto& service : globalServices()) names.push_back(service.at("name"));
@@ -269,6 +292,20 @@ class Completer {
         return names;
     }
 
+    std::vector<std::string> streams(const std::vector<std::string>& given) {
+        if (given.empty()) return {};
+        Collected seen;
+        session_.perform("info", {{"entity", given[0]}}, seen);
+        std::vector<std::string> names;
+        if (const auto* entity = seen.first("entity")) {
+            for (const auto& stream : entity->at("streams")) {
+                const auto name = stream.at("name").get<std::string>();
+                if (std::find(given.begin(), given.end(), name) == given.end()) names.push_back(name);
+            }
+        }
+        return names;
+    }
+
     Json globalServices() {
         Collected seen;
         session_.perform("global ls", Json::object(), seen);
@@ -293,7 +330,7 @@ class Completer {
     Json services(const std::vector<std::string>& given) {
         if (given.empty()) return Json::array();
         Collected seen;
-        session_.perform("info", {{"entity", given[0]}}, seen);
+        session_.perform("info", {{"entity", given[0]}, {"no-streams", true}}, seen);
         const auto* entity = seen.first("entity");
         return entity == nullptr ? Json::array() : entity->at("services");
     }
@@ -346,12 +383,16 @@ class Completer {
 
 /// Ends the process when the completion takes too long; nothing has been printed then.
 class Impatience {
+  public:
+    explicit Impatience(std::chrono::milliseconds patience) : patience_(patience) {}
+
   private:
+    const std::chrono::milliseconds patience_;
     std::mutex mutex_;
     std::condition_variable_any ended_;
     const std::jthread thread_{[this](const std::stop_token& enough) {
         std::unique_lock lock(mutex_);
-        ended_.wait_for(lock, enough, kPatience, [] { return false; });
+        ended_.wait_for(lock, enough, patience_, [] { return false; });
         if (!enough.stop_requested()) ::_exit(kNotConfirmed);
     }};
 };
@@ -365,8 +406,10 @@ int complete(Session& session) {
             return misused(session, "expected the number of the word to complete");
         at = at * 10 + static_cast<std::size_t>(c - '0');
     }
-    const Impatience impatience;
     const auto line_words = joined({words.begin() + 1, words.end()}, at);
+    const auto& done = line_words.done;
+    const bool streams = std::find(done.begin(), done.end(), "watch") != done.end();
+    const Impatience impatience(streams ? kPatienceForStreams : kPatience);
     std::string text;
     for (const auto& candidate : Completer(session).complete(line_words)) {
         const bool files = candidate == "__files__";
@@ -380,8 +423,7 @@ int complete(Session& session) {
 }
 
 int completion(Session& session) {
-    const std::string shell = session.args.at("shell");
-    std::string script = shell == "bash" ? kBash : shell == "zsh" ? kZsh : kFish;
+    auto script = completionScript(session.args.at("shell"));
     script.pop_back();
     session.events.emit({{"event", "line"}, {"text", script}});
     return kDone;
@@ -389,13 +431,20 @@ int completion(Session& session) {
 
 }  // namespace
 
+std::string completionScript(const std::string& shell) {
+    return shell == "bash" ? kBash : shell == "zsh" ? kZsh : kFish;
+}
+
 extern const Verb kCompletion{
     "completion",
     "Print the completion script of a shell",
-    "  source <(axon completion bash)                                    for this shell\n"
-    "  axon completion bash > ~/.local/share/bash-completion/completions/axon   for every new one\n"
-    "  axon completion zsh > ~/.zfunc/_axon\n"
-    "  axon completion fish > ~/.config/fish/completions/axon.fish\n"
+    "  source <(axon completion bash)     for this shell only\n"
+    "For every new shell:\n"
+    "  mkdir -p ~/.local/share/bash-completion/completions\n"
+    "  axon completion bash > ~/.local/share/bash-completion/completions/axon\n"
+    "  mkdir -p ~/.zfunc && axon completion zsh > ~/.zfunc/_axon\n"
+    "  mkdir -p ~/.config/fish/completions && axon completion fish > ~/.config/fish/completions/axon.fish\n"
+    "bash needs the package bash-completion. zsh needs fpath+=~/.zfunc before compinit in ~/.zshrc.\n"
     "It completes verbs, options, entities, their services, parameters and values, global services and "
     "roles.\n",
     Runs::Local,

@@ -6,21 +6,26 @@
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/timex.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
+#include <ctime>
 #include <map>
 #include <thread>
 
 #include "cli/agent_link.hpp"
 #include "cli/distribution.hpp"
 #include "cli/holding.hpp"
+#include "cli/reach.hpp"
 #include "cli/verbs/doctor_report.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
 #include "common/rate_limit.hpp"
 #include "common/refusal.hpp"
+#include "host/port_range.hpp"
+#include "messages/text.hpp"
 
 // axon doctor
 namespace axon::cli {
@@ -31,6 +36,11 @@ using Clock = std::chrono::steady_clock;
 // Thesis B.3.1's range of ports for the link between a robot application and its Entity Manager.
 constexpr int kFirstPort = 5500;
 constexpr int kLastPort = 8000;
+
+/// A server has four ports, one after the other unless it is told otherwise.
+constexpr int kServerPorts = 4;
+constexpr std::chrono::milliseconds kReach{2000};
+constexpr std::time_t kBuiltAfter = 1735689600;  // 2025: this program is younger
 
 double secondsSince(Clock::time_point start) {
     return Seconds(Clock::now() - start).count();
@@ -75,7 +85,8 @@ void checkEntities(Report& report, Station& station) {
                 report.bad(
                     name, state + because,
                     "start the robot's application with the same ports.cfg, or correct --application of "
-                    "the Entity Manager");
+                    "the Entity Manager; an application that ends at once says why, for example that the "
+                    "folder of its profiles is another one");
                 continue;
             case EntityState::ERR:
                 report.bad(
@@ -166,12 +177,75 @@ void checkSignalLane(Report& report, Station& station) {
     }
 }
 
+/// Whether the ports of a server are free on this machine, where none runs.
+void checkServerPorts(Report& report, std::uint16_t first) {
+    std::string taken;
+    for (int port = first; port < first + kServerPorts && port <= 65535; ++port)
+        if (isTaken(static_cast<std::uint16_t>(port)))
+            taken += (taken.empty() ? "" : ", ") + std::to_string(port);
+    if (taken.empty()) return;
+    report.bad(
+        "server ports", "in use by another program: " + taken,
+        "see with ss -ltnp which one, or start the server at other ports: axon-server --base-port 10510, and "
+        "--server 127.0.0.1:10510 here");
+}
+
+/// What keeps a session from being made, as far as it can be seen from here.
+void explainNoServer(Report& report, const std::string& server) {
+    const auto place = hostPortOf(server);
+    if (!place) return;
+    const bool here = place->host == "localhost" || isLoopback(place->host);
+    const auto at = place->host + " port " + std::to_string(place->port);
+    switch (reach(place->host, place->port, kReach)) {
+        case Reach::UnknownHost:
+            report.bad("network", "no machine is called " + inQuotes(place->host),
+                       "correct the name in --server, or give the address");
+            return;
+        case Reach::Unreachable:
+            report.bad("network", "there is no way to " + place->host,
+                       "check the cable, the Wi-Fi and the address");
+            return;
+        case Reach::Silent:
+            report.bad("network",
+                       at + " does not answer: a firewall drops connections to it, or the machine is off",
+                       fmt::format("on that machine, allow TCP ports {} to {} (docs/reference/ports.md)",
+                                   place->port, place->port + kServerPorts - 1));
+            return;
+        case Reach::Refused:
+            if (here) return checkServerPorts(report, place->port);
+            report.bad("network", "the machine answers, and nothing listens at " + at,
+                       "start axon-server there with --listen and its address; without it, it serves its own "
+                       "machine only (docs/how-to/deploy.md)");
+            return;
+        case Reach::Open:
+            break;
+    }
+    if (place->port == 65535) return;
+    // A server tells clients its second port, which is the next one unless it is told otherwise.
+    if (reach(place->host, static_cast<std::uint16_t>(place->port + 1), kReach) == Reach::Silent) {
+        report.bad(
+            "network",
+            fmt::format("port {} of {} can be reached, and port {} cannot: a firewall lets only one of the "
+                        "server's ports through",
+                        place->port, place->host, place->port + 1),
+            fmt::format("on that machine, allow TCP ports {} to {} (docs/reference/ports.md)", place->port,
+                        place->port + kServerPorts - 1));
+        return;
+    }
+    report.bad("network", "a program listens at " + at + " that lets no client of Axon in",
+               "check that it is axon-server of the same release, with the same TLS setting (ssl:// or not)");
+}
+
 void checkServer(Report& report, Session& session) {
     const auto start = Clock::now();
     const auto station = session.connect(session.settings);
     if (!station) {
         const auto event = noServerEvent(station.refusal(), session.settings.server);
         report.bad("server", event.value("message", ""), event.value("fix", ""));
+        // One that has answered has said why.
+        if (station.refusal().code == RefusalCode::Unavailable ||
+            station.refusal().code == RefusalCode::TimedOut)
+            explainNoServer(report, session.settings.server);
         return;
     }
     report.ok("server", "session at " + station.value()->server() + " as " + station.value()->self().name +
@@ -223,6 +297,30 @@ void checkRealTime(Report& report) {
                 "in again");
 }
 
+/// Certificates, and the times in records of runs, go by the clock of the machine.
+void checkClock(Report& report) {
+    timex state{};
+    const int kind = ::adjtimex(&state);
+    const auto now = std::time(nullptr);
+    std::tm parts{};
+    ::gmtime_r(&now, &parts);
+    char text[32];
+    std::strftime(text, sizeof text, "%F %T UTC", &parts);
+    if (now < kBuiltAfter) {
+        report.bad("clock",
+                   std::string("it is ") + text + " by the clock of this machine, which is too early",
+                   "set it: timedatectl set-ntp true, or date -s");
+    } else if (kind == TIME_ERROR || (state.status & STA_UNSYNC) != 0) {
+        report.warn(
+            "clock",
+            std::string("it is ") + text + " by the clock of this machine, which no time server corrects",
+            "timedatectl set-ntp true; certificates that are not valid yet, or no longer, come of a wrong "
+            "clock");
+    } else {
+        report.ok("clock", std::string("it is ") + text + ", and a time server corrects the clock");
+    }
+}
+
 void checkPorts(Report& report) {
     int taken = 0;
     int first_free = 0;
@@ -261,6 +359,7 @@ int doctor(Session& session) {
     checkServer(report, session);
     checkAgent(report, session.settings);
     checkRealTime(report);
+    checkClock(report);
     checkPorts(report);
     return report.anyBad() ? kRefused : kDone;
 }

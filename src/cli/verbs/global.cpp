@@ -46,6 +46,26 @@ int refuseGlobal(Session& session, const Refusal& refusal) {
     return exitOf(refusal);
 }
 
+ServicesOfSteps::ServicesOfSteps(const std::shared_ptr<Station>& station,
+                                 const std::vector<std::string>& entities) {
+    for (const auto& entity : entities) {
+        if (services_.count(entity) != 0) continue;
+        const auto found = station->services(entity);
+        services_[entity] = found ? found.value() : std::vector<Service>{};
+    }
+}
+
+void ServicesOfSteps::describe(Json& step) const {
+    step["units"] = Json::object();
+    step["live"] = Json::array();
+    const auto entity = services_.find(step.value("entity_id", ""));
+    if (entity == services_.end()) return;
+    const auto service = findService(entity->second, step.value("service", ""));
+    if (!service) return;
+    step["units"] = unitsOf(*service.value());
+    step["live"] = feedbackOf(*service.value());
+}
+
 Json toJson(const client::Proposal& proposal) {
     auto roles = Json::array();
     for (const auto& outlook : proposal.roles) {
@@ -236,7 +256,17 @@ int history(Session& session) {
         if (run.id.compare(0, word.size(), word) == 0) found.push_back(&run);
     }
     if (found.size() == 1) {
-        session.events.emit(toJson(*found.front(), true));
+        auto record = toJson(*found.front(), true);
+        std::vector<std::string> present;  // only they are asked: nobody waits for one that has left
+        const auto all = session.station->entities();
+        for (const auto& one : found.front()->participants) {
+            if (std::any_of(all.begin(), all.end(),
+                            [&](const Entity& entity) { return entity.id == one.entity; }))
+                present.push_back(one.entity);
+        }
+        const ServicesOfSteps services(session.station, present);
+        for (auto& step : record["steps"]) services.describe(step);
+        session.events.emit(record);
         return kDone;
     }
     std::string list;

@@ -221,8 +221,12 @@ class Cast {
 /// stops everybody when the user wants it twice.
 class RunFollower {
   public:
-    RunFollower(Session& session, std::string run, std::vector<std::string> entities)
-        : session_(session), run_(std::move(run)), entities_(std::move(entities)) {}
+    RunFollower(Session& session, std::string run, std::vector<std::string> entities,
+                ServicesOfSteps services)
+        : session_(session),
+          run_(std::move(run)),
+          entities_(std::move(entities)),
+          services_(std::move(services)) {}
 
     int follow(Deadline wait_until) {
         Deadline deadline = wait_until;
@@ -307,7 +311,8 @@ class RunFollower {
         heard_ = Clock::now();
         event.erase("exit");
         auto steps = Json::array();
-        for (const auto& step : event.at("steps")) {
+        for (auto& step : event.at("steps")) {
+            services_.describe(step);
             auto& known = steps_[step.at("step").get<int>()];
             if (known != step || event.value("final", false)) steps.push_back(step);
             known = step;
@@ -335,6 +340,7 @@ class RunFollower {
     Session& session_;
     const std::string run_;
     const std::vector<std::string> entities_;
+    const ServicesOfSteps services_;
     std::map<int, Json> steps_;
     Json last_;
     Clock::time_point heard_;
@@ -362,6 +368,8 @@ int perform(Session& session, bool check_only) {
                 listening.push_back(listenTo(session, entity.value()));
         }
     }
+    // Before it begins: nobody who follows it waits for an answer.
+    ServicesOfSteps services(session.station, cast.ids());
     const auto started = Clock::now();
     const auto run = session.station->runGlobal(
         service.value(), cast.players(), cast.master(), check_only,
@@ -375,7 +383,7 @@ int perform(Session& session, bool check_only) {
             mailbox->post(std::move(event), !client::isFinal(report.state));
         });
     if (!run) return refuseGlobal(session, run.refusal());
-    RunFollower follower(session, run.value(), cast.ids());
+    RunFollower follower(session, run.value(), cast.ids(), std::move(services));
     if (detached) return follower.detach(Clock::now() + std::chrono::seconds(10));
     Deadline deadline;
     if (session.args.contains("at-most")) {

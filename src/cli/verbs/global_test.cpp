@@ -7,6 +7,7 @@
 #include "cli/command_line.hpp"
 #include "cli/fake_station.hpp"
 #include "cli/view.hpp"
+#include "common/clock.hpp"
 
 using namespace axon;
 using namespace axon::cli;
@@ -113,6 +114,36 @@ TEST_F(Global, OnlyStepsThatHaveChangedAreToldBetweenTheFirstAndTheLast) {
         if (event["event"] == "run") told.push_back(event["steps"].size());
     }
     EXPECT_THAT(told, ElementsAre(2, 1, 2));
+}
+
+TEST_F(Global, ResultsHaveUnitsAndWhatWasReportedOnTheWayIsNone) {
+    client::Parameter position;
+    position.name = "Position";
+    position.kind = client::ParameterKind::Output;
+    position.units = "mm";
+    auto speed = position;
+    speed.name = "Speed";
+    speed.kind = client::ParameterKind::Feedback;
+    client::Service drive;
+    drive.name = "Driving";
+    drive.global_id = "drive";
+    drive.parameters = {position, speed};
+    station->services_ = {drive};
+    station->run_script = {[](RunReport& report) {
+        succeeded(report);
+        report.steps[0].results["Speed"] = {std::int64_t{200}};
+    }};
+    EXPECT_EQ(perform("global run", {{"name", "Fetch ball"}}), kDone);
+    const auto& step = seen.last("run")->at("steps").at(0);
+    EXPECT_EQ(step.at("units").at("Position"), "mm");
+    EXPECT_EQ(step.at("live"), Json::array({"Speed"}));
+    EXPECT_EQ(seen.last("run")->at("steps").at(1).at("units"), Json::object()) << "nobody offers it";
+    std::ostringstream out;
+    std::ostringstream err;
+    ManualClock clock;
+    PersonView view(out, err, Terminal{}, clock);
+    view.emit(*seen.last("run"));
+    EXPECT_THAT(out.str(), HasSubstr(": Position = 998 mm\n"));
 }
 
 TEST_F(Global, BindingsAndMasterAreAsTheUserSays) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <algorithm>
 
+#include "cli/caretaker.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
 
@@ -11,11 +12,18 @@ namespace {
 int checkout(Session& session) {
     const auto taken = takeOut(session);
     if (taken.exit != kDone) return taken.exit;
+    if (session.notify && session.args.contains("notify")) session.notify(session.args.at("notify"));
     session.events.emit({{"event", "checked_out"},
                          {"entities", taken.items},
                          {"already", taken.already},
                          {"kept", session.kept}});
     return kDone;
+}
+
+/// Where the user is reached: the agent has no terminal.
+std::string prepareCheckout(Json& args) {
+    if (args.contains("notify")) args["notify"] = reachableAt();
+    return {};
 }
 
 int handover(Session& session) {
@@ -91,8 +99,10 @@ extern const Verb kCheckout{
      {"hand-over",
       Takes::Choice,
       "If others ask for it: ask (you decide; no answer refuses), yield (no answer hands over) or refuse",
-      {"ask", "yield", "refuse"}}},
-    checkout};
+      {"ask", "yield", "refuse"}},
+     {"notify", Takes::Nothing, "Tell this terminal and desktop at once when somebody asks for an entity"}},
+    checkout,
+    prepareCheckout};
 
 extern const Verb kHandover{
     "handover",

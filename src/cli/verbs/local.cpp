@@ -4,6 +4,7 @@
 #include <iostream>
 
 #include "cli/agent_link.hpp"
+#include "cli/caretaker.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
 #include "messages/profile_command.hpp"
@@ -34,7 +35,18 @@ int agent(Session& session) {
                         {"message", one.why.message},
                         {"holder", one.why.holder}});
     }
-    if (session.args.at("action") == "stop") {
+    if (session.args.contains("notify") || session.args.contains("idle")) {
+        if (!session.notify || !session.set_idle)
+            return misused(session, "--notify and --idle are for the agent that axon checkout starts",
+                           "not inside axon checkout … -- COMMAND");
+        if (session.args.contains("idle")) session.set_idle(session.args.at("idle").get<double>());
+        if (session.args.contains("notify")) {
+            session.notify(session.args.at("notify"));
+            session.events.emit(
+                {{"event", "notice"}, {"message", "requests for what is held are told here at once"}});
+        }
+    }
+    if (session.args.value("action", "status") == "stop") {
         for (const auto& entity : session.station->held()) {
             if (const auto done = session.station->release(entity.id); !done) {
                 session.events.emit(errorEvent(done.refusal(), entity.name));
@@ -61,6 +73,12 @@ int agent(Session& session) {
     return kDone;
 }
 
+/// Where the user is reached: the agent has no terminal.
+std::string prepareAgent(Json& args) {
+    if (args.contains("notify")) args["notify"] = reachableAt();
+    return {};
+}
+
 int version(Session& session) {
     session.events.emit({{"event", "version"}, {"version", AXON_VERSION}});
     return kDone;
@@ -79,19 +97,29 @@ extern const Verb kProfile{"profile",
                            {},
                            profile};
 
-extern const Verb kAgent{"agent",
-                         "Show or end the agent that keeps check-outs between commands",
-                         "  axon agent status\n"
-                         "  axon agent stop      also releases what it holds\n",
-                         Runs::Kept,
-                         {{"action",
-                           Takes::Choice,
-                           true,
-                           false,
-                           "status or stop (run is what axon checkout uses)",
-                           {"status", "stop", "run"}}},
-                         {},
-                         agent};
+extern const Verb kAgent{
+    "agent",
+    "Show, set or end the agent, the process that keeps your check-outs between commands",
+    "  axon agent\n"
+    "  axon agent --notify      tell me here at once when somebody asks for what I hold\n"
+    "  axon agent --idle 600    release everything when no command and no task has used it for 600 s\n"
+    "  axon agent stop          release everything and end the agent\n"
+    "--notify writes a line to this terminal, with the bell, and shows a notification where notify-send and "
+    "a\n"
+    "desktop are. Unless --idle says otherwise, the agent releases everything after an hour without use. It "
+    "warns\n"
+    "five minutes before, in its log and where --notify says.\n",
+    Runs::Kept,
+    {{"action",
+      Takes::Choice,
+      false,
+      false,
+      "status (default) or stop (run is what axon checkout uses)",
+      {"status", "stop", "run"}}},
+    {{"notify", Takes::Nothing, "Tell this terminal and desktop at once when somebody asks for an entity"},
+     {"idle", Takes::Duration, "Release everything after this long without use; 0 = never"}},
+    agent,
+    prepareAgent};
 
 extern const Verb kVersion{"version", "Show the version", "  axon version --json\n", Runs::Local, {}, {},
                            version};

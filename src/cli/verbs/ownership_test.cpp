@@ -199,6 +199,27 @@ TEST_F(Ownership, WhichWayMessagesGoIsShownOfWhatIsHeld) {
     EXPECT_THAT(shown(), HasSubstr("direct"));
 }
 
+TEST_F(Ownership, TheAgentIsToldWhereItsUserIsReachedAndHowLongItKeepsWhatNobodyUses) {
+    Json where;
+    double limit_s = -1;
+    const auto agent = [&](const Json& args, bool in_agent) {
+        Session session{args, seen, mailbox, station, settings, true};
+        if (in_agent) {
+            session.notify = [&](const Json& told) { where = told; };
+            session.set_idle = [&](double seconds) { limit_s = seconds; };
+        }
+        return findVerb("agent")->perform(session);
+    };
+    Json args{{"notify", true}, {"idle", 600.0}};
+    EXPECT_EQ(findVerb("agent")->prepare(args), "");
+    EXPECT_TRUE(args["notify"].is_object()) << "what the agent cannot see itself";
+    EXPECT_EQ(agent(args, true), kDone);
+    EXPECT_EQ(where, args["notify"]);
+    EXPECT_EQ(limit_s, 600);
+    EXPECT_NE(seen.last("agent"), nullptr) << "without an action it is the status";
+    EXPECT_EQ(agent(args, false), kUsage) << "under checkout -- COMMAND there is no such agent";
+}
+
 TEST_F(Ownership, ADrillShowsADistribution) {
     EXPECT_EQ(perform("drill", {{"entity", {"Cyton"}}, {"count", 10}, {"every", 0.0}}), kDone);
     const auto* drill = seen.last("drill");

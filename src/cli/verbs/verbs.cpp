@@ -8,7 +8,7 @@ namespace axon::cli {
 extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kWait, kPause,
     kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent, kBench,
     kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
-    kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory;
+    kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory, kHelp, kInit, kManual;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
@@ -40,6 +40,7 @@ const std::vector<const Verb*>& verbs() {
         &kGlobalResume,   //
         &kGlobalCancel,   //
         &kGlobalHistory,  //
+        &kInit,           //
         &kProfile,        //
         &kDrill,          //
         &kDoctor,         //
@@ -47,7 +48,9 @@ const std::vector<const Verb*>& verbs() {
         &kCerts,          //
         &kAgent,          //
         &kCompletion,     //
+        &kHelp,           //
         &kComplete,       //
+        &kManual,         //
         &kVersion,        //
     };
     return all;

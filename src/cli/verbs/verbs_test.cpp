@@ -1,14 +1,21 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include <arpa/inet.h>
 #include <gmock/gmock.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <thread>
 
 #include "cli/fake_station.hpp"
 #include "cli/holding.hpp"
+#include "cli/reach.hpp"
 #include "cli/words.hpp"
+#include "common/descriptor.hpp"
 #include "support/loopback.hpp"
 
 using namespace axon;
@@ -85,6 +92,53 @@ TEST_F(Verbs, DoctorNamesAnEntityWithoutItsApplicationAndOneWithoutProfiles) {
     EXPECT_THAT(findings["greeter"]["fix"].get<std::string>(), HasSubstr("--application"));
     EXPECT_EQ(findings["half"]["level"], "bad");
     EXPECT_THAT(findings["half"]["message"].get<std::string>(), HasSubstr(silent.reason));
+}
+
+TEST_F(Verbs, DoctorSaysWhatKeepsASessionFromBeingMade) {
+    const auto finding = [&](const std::string& server, const std::string& name) {
+        seen.events.clear();
+        settings.server = server;
+        Session session{Json::object(), seen, mailbox, nullptr, settings, kept};
+        session.connect = [&](const Settings&) {
+            return Result<std::shared_ptr<Station>>(
+                Refusal{RefusalCode::Unavailable, "nobody listens there", {}});
+        };
+        EXPECT_EQ(findVerb("doctor")->perform(session), kRefused);
+        for (const auto& event : seen.events)
+            if (event.value("name", "") == name) return event.value("message", "");
+        return std::string();
+    };
+    EXPECT_THAT(finding("no-such-host.invalid:10410", "network"), HasSubstr("no machine is called"));
+    // Another program at the second of a server's ports, and then at the first.
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof address;
+    std::optional<Descriptor> taken;
+    std::uint16_t port = 0;
+    while (!taken || isTaken(static_cast<std::uint16_t>(port - 1))) {
+        taken.emplace(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+        address.sin_port = 0;
+        ASSERT_EQ(::bind(taken->get(), reinterpret_cast<sockaddr*>(&address), size), 0);
+        ASSERT_EQ(::listen(taken->get(), 4), 0);
+        ASSERT_EQ(::getsockname(taken->get(), reinterpret_cast<sockaddr*>(&address), &size), 0);
+        port = ntohs(address.sin_port);
+    }
+    EXPECT_THAT(finding("127.0.0.1:" + std::to_string(port - 1), "server ports"),
+                HasSubstr(std::to_string(port)));
+    EXPECT_THAT(finding("127.0.0.1:" + std::to_string(port), "network"), HasSubstr("a program listens"));
+    EXPECT_EQ(finding("Axon.Clients/router:tcp -h lab -p 1", "network"), "") << "a router has no such ports";
+}
+
+TEST_F(Verbs, DoctorLooksAtTheClock) {
+    Session session{Json::object(), seen, mailbox, nullptr, settings, kept};
+    session.connect = [&](const Settings&) { return std::shared_ptr<Station>(station); };
+    findVerb("doctor")->perform(session);
+    const auto found = std::find_if(seen.events.begin(), seen.events.end(),
+                                    [](const Json& event) { return event.value("name", "") == "clock"; });
+    ASSERT_NE(found, seen.events.end());
+    EXPECT_THAT((*found)["message"].get<std::string>(), HasSubstr(" UTC"));
+    EXPECT_NE((*found)["level"], "bad");
 }
 
 TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
@@ -609,6 +663,45 @@ TEST_F(Verbs, WatchShowsSamplesAndTextsUntilItsTimeIsUp) {
     EXPECT_EQ(perform("watch", {{"entity", "Cyton"}}), kInterrupted);
 }
 
+TEST_F(Verbs, WatchKeepsTheNewestPictureInAFileAndPassesNoPixelsOn) {
+    const auto file = std::filesystem::path(testing::TempDir()) / "axon-picture.jpg";
+    std::filesystem::remove(file);
+    station->stream = "camera";
+    station->samples = {
+        {1, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"b2xk"}})"},
+        {2, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"bmV3"}})"}};
+    const Json args{{"entity", "Cyton"}, {"streams", {"camera"}}, {"for", 0.05}, {"save", file.string()}};
+    EXPECT_EQ(perform("watch", args), kDone);
+    std::ifstream in(file, std::ios::binary);
+    std::string content;
+    in >> content;
+    EXPECT_EQ(content, "new");
+    EXPECT_EQ(seen.last("sample")->at("file"), file.string());
+    EXPECT_EQ(seen.last("sample")->at("sample"),
+              Json({{"image", {{"width", 2}, {"height", 1}, {"encoding", "jpeg"}}}}));
+    station->samples = {{3, R"({"stream":"camera","scalar":{"value":1}})"}};
+    EXPECT_EQ(perform("watch", args), kUsage);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("has no pictures"));
+    std::filesystem::remove(file);
+}
+
+TEST_F(Verbs, APictureIsSavedOfOneStreamAndFromAnyFolder) {
+    Json args{{"entity", "Cyton"}, {"save", "now.jpg"}};
+    EXPECT_THAT(findVerb("watch")->prepare(args), HasSubstr("the name of one stream"));
+    args["streams"] = {"camera"};
+    EXPECT_EQ(findVerb("watch")->prepare(args), "");
+    EXPECT_TRUE(std::filesystem::path(args["save"].get<std::string>()).is_absolute());
+}
+
+TEST_F(Verbs, InfoListsTheStreamsThatAreSentUnlessItIsToldNotTo) {
+    station->samples = {{1, R"({"stream":"pose","sequence":"1","pose":{"x":1.5}})"},
+                        {2, R"({"stream":"pose","sequence":"2","pose":{"x":2.5}})"}};
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}}), kDone);
+    EXPECT_EQ(seen.last("entity")->at("streams"), Json::array({{{"name", "pose"}, {"kind", "pose"}}}));
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}, {"no-streams", true}}), kDone);
+    EXPECT_EQ(seen.last("entity")->at("streams"), Json::array());
+}
+
 TEST_F(Verbs, LsNumbersSharedNames) {
     EXPECT_EQ(perform("ls", Json::object()), kDone);
     const auto& list = seen.last("entities")->at("entities");
@@ -646,6 +739,10 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "re"}), "rearm\nrelease\nresume\nreset");
     EXPECT_EQ(offered({"axon", "run", "Peo"}), "PeopleBot#1\nPeopleBot#2");
     EXPECT_EQ(offered({"axon", "run", "Cyton", ""}), "Driving");
+    station->samples = {{1, R"({"stream":"pose","pose":{"x":1.5}})"}};
+    EXPECT_EQ(offered({"axon", "watch", "Cyton", "p"}), "pose");
+    EXPECT_EQ(offered({"axon", "help", "global", "ch"}), "check");
+    EXPECT_EQ(offered({"axon", "help", "chec"}), "checkout");
     EXPECT_EQ(offered({"axon", "run", "--wait", "3", "Cyton", "Driving", "Distance=1", ""}),
               "Range_Threshold=\nColours=");
     EXPECT_EQ(offered({"axon", "run", "Cyton", "Driving", "Colours", "=", "r"}), "red");

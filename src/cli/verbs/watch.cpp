@@ -1,8 +1,17 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include <cstdlib>
+#include <spawn.h>
+#include <sys/wait.h>
 
+#include <cstdlib>
+#include <filesystem>
+#include <thread>
+
+#include "cli/agent_link.hpp"
+#include "cli/frames.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
+
+extern char** environ;
 
 // axon watch
 namespace axon::cli {
@@ -25,6 +34,99 @@ Json sampleEvent(const std::string& entity, const Sample& sample) {
     return event;
 }
 
+/// Opens the file with what this user opens such files with, where there is a desktop. Whether that began.
+bool openOnDesktop(const std::string& file) {
+    const auto isSet = [](const char* name) {
+        const char* value = std::getenv(name);
+        return value != nullptr && *value != '\0';
+    };
+    if (!isSet("DISPLAY") && !isSet("WAYLAND_DISPLAY")) return false;
+    std::string program = "xdg-open";
+    auto argument = file;
+    char* words[] = {program.data(), argument.data(), nullptr};
+    pid_t child = 0;
+    if (::posix_spawnp(&child, program.c_str(), nullptr, nullptr, words, environ) != 0) return false;
+    std::thread([child] {
+        int status = 0;
+        ::waitpid(child, &status, 0);
+    }).detach();
+    return true;
+}
+
+/// Where the pictures of a stream go: to a file, and to a page that shows it.
+class PictureFile {
+  public:
+    explicit PictureFile(std::filesystem::path file) : file_(std::move(file)) {}
+
+    /// For a sample with a picture, writes it, and puts its place where the pixels were. MALFORMED if it has
+    /// none, or the file cannot be written.
+    Result<void> take(Json& event) const {
+        const auto picture = pictureOf(event.at("sample"));
+        if (!picture) {
+            return Refusal{RefusalCode::Malformed, "the stream " + event.value("stream", "") +
+                                                       " has no pictures in jpeg, png, rgb8, bgr8 or mono8"};
+        }
+        if (const auto written = replaceFile(file_, picture->bytes); !written) return written;
+        event["file"] = file_.string();
+        event["size"] = picture->bytes.size();
+        return {};
+    }
+
+  private:
+    const std::filesystem::path file_;
+};
+
+/// $XDG_RUNTIME_DIR/axon/view-NAME-STREAM, private as its parent is.
+Result<std::filesystem::path> viewFolder(const Session& session, const std::string& name,
+                                         std::string stream) {
+    const auto place = agentPlace(session.settings.server);
+    if (!place) return place.refusal();
+    auto leaf = "view-" + name + "-" + stream;
+    for (auto& c : leaf) {
+        const bool plain =
+            (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
+        if (!plain) c = '_';
+    }
+    const auto folder = place->directory / leaf.substr(0, 100);
+    std::error_code failed;
+    std::filesystem::create_directory(folder, failed);
+    if (failed)
+        return Refusal{RefusalCode::Malformed, "cannot make " + folder.string() + ": " + failed.message()};
+    return folder;
+}
+
+/// What --save and --view want of the pictures; nothing if neither is given.
+Result<std::optional<PictureFile>> pictureFile(Session& session, const std::string& call) {
+    if (session.args.value("view", false)) {
+        const auto stream = session.args.at("streams").at(0).get<std::string>();
+        const auto folder = viewFolder(session, call, stream);
+        if (!folder) return folder.refusal();
+        // A viewer tells the kind of a picture by its first bytes, not by its name.
+        const auto picture = session.args.contains("save")
+                                 ? std::filesystem::path(session.args.at("save").get<std::string>())
+                                 : folder.value() / "picture";
+        const auto page = folder.value() / "index.html";
+        if (const auto made = replaceFile(page, viewerPage(call + " " + stream, picture.string())); !made)
+            return made.refusal();
+        const bool opened = openOnDesktop(page.string());
+        session.events.emit({{"event", "viewing"}, {"file", page.string()}, {"opened", opened}});
+        return std::optional(PictureFile(picture));
+    }
+    if (session.args.contains("save"))
+        return std::optional(PictureFile(session.args.at("save").get<std::string>()));
+    return std::optional<PictureFile>();
+}
+
+/// An absolute path: the verb may run in the agent, whose folder is another one.
+std::string prepareWatch(Json& args) {
+    const bool pictures = args.contains("save") || args.value("view", false);
+    if (pictures && args.value("streams", std::vector<std::string>{}).size() != 1)
+        return "--save and --view need the name of one stream, such as camera";
+    if (args.contains("save"))
+        args["save"] = std::filesystem::absolute(args.at("save").get<std::string>()).string();
+    return {};
+}
+
 int watch(Session& session) {
     const auto name = session.args.at("entity").get<std::string>();
     const auto found = session.station->find(name);
@@ -32,6 +134,8 @@ int watch(Session& session) {
     const auto listening = listenTo(session, found.value());
     const auto mailbox = session.mailbox;
     const auto call = callOf(session, found.value());
+    auto pictures = pictureFile(session, call);
+    if (!pictures) return misused(session, pictures.refusal().message, {});
     const auto watching = session.station->watch(
         found->id, session.args.value("streams", std::vector<std::string>{}),
         [mailbox, call](const Sample& sample) { mailbox->post(sampleEvent(call, sample), true); });
@@ -45,7 +149,13 @@ int watch(Session& session) {
                   Seconds(session.args.at("for").get<double>()));
     }
     bool any = false;
-    while (const auto event = session.mailbox->wait(end)) {
+    while (auto event = session.mailbox->wait(end)) {
+        if (pictures.value() && event->at("event") == "sample") {
+            if (const auto taken = pictures.value()->take(*event); !taken)
+                return misused(session, taken.refusal().message,
+                               "axon watch without --save and --view shows it");
+            event->at("sample").at("image").erase("pixels");
+        }
         session.events.emit(*event);
         any = true;
         if (const auto dropped = session.mailbox->takeDropped(); dropped > 0) {
@@ -67,11 +177,17 @@ extern const Verb kWatch{
     "  axon watch PeopleBot                  all streams until Ctrl-C\n"
     "  axon watch PeopleBot pose --for 10\n"
     "  axon watch PeopleBot pose --json | jq -c .sample\n"
+    "  axon watch PeopleBot camera --save now.jpg   keeps the newest picture in now.jpg\n"
+    "  axon watch PeopleBot camera --view           shows the pictures in a browser\n"
     "Texts and raw data go to the holder only: they are shown if axon checkout holds the entity.\n",
     Runs::Anywhere,
     {{"entity", Takes::Entity, true, false, "The entity"},
      {"streams", Takes::Stream, false, true, "Names of streams; without a name, all of them"}},
-    {{"for", Takes::Duration, "End after this long"}},
-    watch};
+    {{"for", Takes::Duration, "End after this long"},
+     {"save", Takes::File, "Write the newest picture of the one stream into this file"},
+     {"view", Takes::Nothing,
+      "Show the pictures of the one stream on a page that renews itself, and open it on a desktop"}},
+    watch,
+    prepareWatch};
 
 }  // namespace axon::cli

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -40,12 +41,16 @@ struct Options {
     bool await_entities = true;
     /// If true, the library talks straight to the Entity Managers of the entities that it holds, where they
     /// offer that and can be reached. If false, every message goes through the servers. Lease, refusals and
-    /// order of messages are the same either way. If the server is reached over TLS or through a router,
-    /// every message goes through the servers (docs/reference/direct.md).
+    /// order of messages are the same either way. If the server is reached over TLS, so are they; if through
+    /// a router, every message goes through the servers (docs/reference/direct.md).
     bool direct = true;
     /// At most this many direct paths. The other entities are reached through the servers. A direct path
     /// costs two connections at each end.
     int direct_paths = 64;
+    /// The longest time, up to 50 µs, for which the thread that reads direct paths looks for the next message
+    /// before it sleeps. 0 = none. It does so while messages come in quick succession, and not if the process
+    /// may use only one core (docs/reference/direct.md, "Spinning").
+    std::chrono::microseconds direct_spin{0};
     /// If set, the library calls it before each heartbeat while a task runs, on its heartbeat thread. Return
     /// false to suppress the heartbeat: a program whose socket is alive can still have lost its operator.
     std::function<bool()> keep_running;

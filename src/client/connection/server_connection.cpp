@@ -9,6 +9,7 @@
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
 #include "transport/ice/lane_socket.hpp"
+#include "transport/outbox/header_scratch.hpp"
 #include "transport/sessions/routed_session.hpp"
 
 namespace axon::client {
@@ -114,15 +115,19 @@ void call(slice::ClientSessionPrx& session, Operation operation, const Header& h
     auto answered = std::move(callbacks.answered);
     auto failed = std::move(callbacks.failed);
     auto sent = std::move(callbacks.sent);
+    const auto& its = transport::HeaderScratch::ofThread().of(head);
     switch (operation) {
         case Operation::ToEntity:
-            session.sendToEntityAsync(toIce(head), toRange(bytes), answered, failed, sent);
+            session.sendToEntityAsync(its, toRange(bytes), std::move(answered), std::move(failed),
+                                      std::move(sent));
             break;
         case Operation::ToEntityDataSeq:
-            session.sendToEntityDataSeqAsync(toIce(head), toRange(bytes), answered, failed, sent);
+            session.sendToEntityDataSeqAsync(its, toRange(bytes), std::move(answered), std::move(failed),
+                                             std::move(sent));
             break;
         case Operation::Request:
-            session.sendRequestAsync(toIce(head), toRange(bytes), answered, failed, sent);
+            session.sendRequestAsync(its, toRange(bytes), std::move(answered), std::move(failed),
+                                     std::move(sent));
             break;
         case Operation::Reset:
         case Operation::Clear:
@@ -264,24 +269,23 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
 void ServerConnection::send(Operation operation, const Header& head, std::string bytes) const {
     if (operation == Operation::Reset) return sendResetSignal(head);
     if (operation == Operation::Clear) return sendClearSignal(head);
-    const auto proxy =
-        [ oneway = data_.oneway, paced = data_.paced ](const SendCallbacks& callbacks) -> auto& {
-        return callbacks.answered ? *paced : *oneway;
-    };
     const auto size = bytes.size() + kHeaderBytes;
     // The copy for the queue is made only when the message has to wait.
     data_.outbox->post(
         trafficOf(operation), size,
         [&](SendCallbacks&& callbacks) {
-            call(proxy(callbacks), operation, head, bytes, std::move(callbacks));
+            auto& proxy = callbacks.answered ? *data_.paced : *data_.oneway;
+            call(proxy, operation, head, bytes, std::move(callbacks));
         },
         [&] {
             backlog_->add(size);
             std::shared_ptr<void> waits(nullptr,
                                         [backlog = backlog_, size](void*) { backlog->remove(size); });
-            return transport::Outbox::Parcel([proxy, operation, head, owned = std::move(bytes),
+            return transport::Outbox::Parcel([oneway = data_.oneway, paced = data_.paced, operation, head,
+                                              owned = std::move(bytes),
                                               waits = std::move(waits)](SendCallbacks&& callbacks) {
-                call(proxy(callbacks), operation, head, owned, std::move(callbacks));
+                auto& proxy = callbacks.answered ? *paced : *oneway;
+                call(proxy, operation, head, owned, std::move(callbacks));
             });
         });
 }

@@ -30,7 +30,7 @@ void DirectLinks::offer(const DirectOffer& offer) {
     entry.close_at = entry.path ? clock_.now() : TimePoint::max();
     entry.offer = offer;
     entry.withdrawn = false;
-    entry.link = std::make_shared<DirectLink>();
+    replaceLink(entry, std::make_shared<DirectLink>());
     entry.try_at = clock_.now();
     entry.retry = {};
 }
@@ -43,8 +43,20 @@ bool DirectLinks::withdraw(const Held& held) {
     entry.withdrawn = true;
     entry.try_at = TimePoint::max();
     entry.close_at = clock_.now();
-    if (!entry.path) entry.link = nullptr;
+    if (!entry.path) replaceLink(entry, nullptr);
     return true;
+}
+
+void DirectLinks::replaceLink(Entry& entry, std::shared_ptr<DirectLink> next) {
+    std::erase_if(entry.former, [](const auto& link) { return link.expired(); });
+    if (entry.link) entry.former.push_back(entry.link);
+    entry.link = std::move(next);
+}
+
+void DirectLinks::forget(Entry& entry) {
+    replaceLink(entry, nullptr);
+    for (const auto& former : entry.former)
+        if (const auto link = former.lock()) link->forget = true;
 }
 
 DirectLinks::Closing DirectLinks::leave(const std::string& entity) {
@@ -52,7 +64,7 @@ DirectLinks::Closing DirectLinks::leave(const std::string& entity) {
     if (found == entries_.end()) return {};
     Closing closing;
     if (found->second.path) closing.push_back(found->second.path);
-    if (found->second.link) found->second.link->forget = true;
+    forget(found->second);
     entries_.erase(found);
     tellPaths();
     return closing;
@@ -62,7 +74,7 @@ DirectLinks::Closing DirectLinks::clear() {
     Closing closing;
     for (auto& [entity, entry] : entries_) {
         if (entry.path) closing.push_back(entry.path);
-        if (entry.link) entry.link->forget = true;
+        forget(entry);
     }
     entries_.clear();
     tellPaths();
@@ -188,7 +200,7 @@ DirectLinks::Turn DirectLinks::turn() {
             } else if (!entry.withdrawn) {
                 entry.try_at = now + again;
             }
-            if (entry.withdrawn) entry.link = nullptr;
+            if (entry.withdrawn) replaceLink(entry, nullptr);
         }
         if (entry.path && entry.path->isOpen() && !entry.begun) {
             entry.begun = changed = true;

@@ -118,14 +118,18 @@ class DirectLinks {
         direct::IncomingWay<Came> in;
         direct::Unacknowledged unacknowledged;
         DirectOffer offer;
-        std::shared_ptr<DirectLink> link;  // null: not offered, or no longer
-        std::shared_ptr<DirectPath> path;  // being opened, or open
+        std::shared_ptr<DirectLink> link;               // null: not offered, or no longer
+        std::vector<std::weak_ptr<DirectLink>> former;  // with messages that may not be acknowledged
+        std::shared_ptr<DirectPath> path;               // being opened, or open
         bool begun = false;
         bool withdrawn = false;
         TimePoint begun_at, try_at = TimePoint::max(), mark_due = TimePoint::max(),
                             close_at = TimePoint::max();
         direct::Retry retry;
     };
+    /// `next` may be null.
+    static void replaceLink(Entry& entry, std::shared_ptr<DirectLink> next);
+    static void forget(Entry& entry);
     void tellPaths();
     void told(Entry& entry) const;
 

@@ -98,6 +98,28 @@ TEST_F(DirectLinksTest, FromTheMarkOnMessagesGoByThePath) {
     EXPECT_EQ(lively, 1) << "an idle path beats at once";
 }
 
+TEST_F(DirectLinksTest, WhatAnEarlierLeaseHasNotAcknowledgedIsLostWithTheSession) {
+    for (const bool withdrawn : {false, true}) {
+        links.offer(offer);
+        const auto path = standing();
+        EXPECT_TRUE(give(kMsgText, 1));
+        by_servers.clear();
+        if (withdrawn) {
+            links.withdraw({"robot", offer.lease});
+            path->close("the lease has ended");
+            turn();
+        } else {
+            auto next = offer;
+            next.lease.number = 2;
+            links.offer(next);
+        }
+        for (const auto& left : links.clear()) left->close("the session is lost");
+        path->close("the session is lost");
+        sending.fallBackFromEnded();
+        EXPECT_EQ(by_servers, (std::vector<std::int64_t>{})) << "withdrawn: " << withdrawn;
+    }
+}
+
 TEST_F(DirectLinksTest, WhatIsNotAcknowledgedGoesByTheServersBeforeAllThatComesAfterTheBreak) {
     const auto path = standing();
     by_servers.clear();

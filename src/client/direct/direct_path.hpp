@@ -39,7 +39,15 @@ struct DirectOffer {
     LeaseNumber lease;
     std::string key;
     std::string client;                          ///< the holder's session UUID
-    std::string data_endpoint, signal_endpoint;  ///< "host:port"
+    std::string data_endpoint, signal_endpoint;  ///< "host:port", or "ssl://host:port"
+    std::string name = {};                       ///< the entity's, which its certificate has
+
+    static constexpr std::string_view kTls = "ssl://";
+    static bool overTls(std::string_view endpoint) { return endpoint.starts_with(kTls); }
+    /// "host:port" in either case.
+    static std::string_view addressIn(std::string_view endpoint) {
+        return endpoint.substr(overTls(endpoint) ? kTls.size() : 0);
+    }
 };
 
 /// Two connections with an Entity Manager, data and signals, without the servers in between

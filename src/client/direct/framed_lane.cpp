@@ -9,6 +9,7 @@
 namespace axon::client {
 namespace {
 
+using direct::lane::Channel;
 using direct::lane::ClientOpening;
 using direct::lane::LaneOutbox;
 using direct::lane::LaneSocket;
@@ -17,15 +18,16 @@ constexpr int kReadsPerTurn = 16;  // then other lanes have a turn
 
 }  // namespace
 
-FramedLane::FramedLane(std::shared_ptr<LaneReaders> readers, Descriptor socket, ClientOpening opening,
-                       transport::OutboxLimits limits, LaneOutbox::Waits waits, const Clock& clock,
-                       std::weak_ptr<Owner> owner)
+FramedLane::FramedLane(std::shared_ptr<LaneReaders> readers, Descriptor socket, const Speaks& speaks,
+                       ClientOpening opening, transport::OutboxLimits limits, LaneOutbox::Waits waits,
+                       const Clock& clock, std::weak_ptr<Owner> owner)
     : readers_(std::move(readers)),
       number_(readers_->next()),
       clock_(clock),
       owner_(std::move(owner)),
       socket_(std::move(socket)),
-      outbox_(limits, socket_, std::move(waits)),
+      channel_(speaks(socket_)),
+      outbox_(limits, *channel_, std::move(waits)),
       opening_(std::move(opening)) {}
 
 void FramedLane::start(Duration timeout) {
@@ -62,6 +64,8 @@ void FramedLane::ready(LaneReaders::Ready what) {
     if (what.over) closing_ = true;
     if (what.written && outbox_.waiting() && outbox_.flush() == LaneOutbox::Outcome::Over)
         end("the connection was lost");
+    // A channel that this side opens begins when the connection is there.
+    if (what.written && !channel_open_) what.read = true;
     if (!what.read || arrivals_.fetch_add(1) != 0) return;  // who reads now reads that, too
     // Until the turn is over: what it tells is to be called in laneRead().
     const auto owner = owner_.lock();
@@ -80,11 +84,9 @@ void FramedLane::ready(LaneReaders::Ready what) {
 /// False when there may be more, and others are to have a turn. `reads`: of this turn until now.
 bool FramedLane::readAll(Owner& owner, int& reads) {
     for (; reads < kReadsPerTurn && !over_; ++reads) {
-        const auto came = socket_.read(reader_.room());
-        if (came.bytes > 0) {
-            reader_.filled(came.bytes);
-            if (!deliver(owner)) return true;
-        }
+        const auto came = socket_.read(channel_->room(reader_));
+        const bool begins = !channel_open_ && came.end == LaneSocket::Read::End::No;
+        if ((came.bytes > 0 || begins) && !heard(owner, came.bytes)) return true;
         if (came.end == LaneSocket::Read::End::Closed) end("it closed the connection");
         if (came.end == LaneSocket::Read::End::Lost)
             end("the connection was lost: " + std::generic_category().message(came.error));
@@ -93,6 +95,15 @@ bool FramedLane::readAll(Owner& owner, int& reads) {
         if (!came.more && (came.bytes == 0 || !closing_)) return true;
     }
     return over_;
+}
+
+/// So many bytes were read. False when it is over.
+bool FramedLane::heard(Owner& owner, std::size_t count) {
+    const auto state = channel_->filled(reader_, count);
+    if (state == Channel::State::Open) channel_open_ = true;
+    if (!deliver(owner)) return false;
+    if (state == Channel::State::Over) end(channel_->why());
+    return !over_;
 }
 
 /// False when it is over.
@@ -133,7 +144,7 @@ bool FramedLane::onOpening(std::string_view frame, Owner& owner) {
     const auto& claim = std::get<std::string>(answer);
     const std::string_view piece(claim);
     // A new connection has room for it.
-    if (socket_.write({&piece, 1}) != claim.size()) {
+    if (channel_->write({&piece, 1}) != claim.size()) {
         end("the connection was lost");
         return false;
     }

@@ -6,6 +6,7 @@
 #include <arpa/inet.h>
 #include <gtest/gtest.h>
 #include <netinet/in.h>
+#include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
 
@@ -15,7 +16,10 @@
 #include <vector>
 
 #include "direct/lane/frames.hpp"
+#include "direct/lane/tls_channel.hpp"
+#include "support/certificate_folder.hpp"
 #include "support/loopback.hpp"
+#include "support/tcp_silence.hpp"
 
 namespace axon::client {
 namespace {
@@ -93,7 +97,8 @@ struct Barrier {
     int inside = 0;
 };
 
-class FramedLaneTest : public ::testing::Test {
+/// With threads that spin, and with some that do not.
+class FramedLaneTest : public ::testing::TestWithParam<std::chrono::microseconds> {
   protected:
     FramedLaneTest() {
         address_.sin_family = AF_INET;
@@ -111,7 +116,7 @@ class FramedLaneTest : public ::testing::Test {
         EXPECT_TRUE(socket.ok());
         const auto its = std::make_shared<direct::Claim>(claim);
         auto lane = std::make_shared<FramedLane>(
-            readers, std::move(socket).value(),
+            readers, std::move(socket).value(), speaks,
             direct::lane::ClientOpening(
                 claim,
                 [its](const Id128& nonce) {
@@ -162,9 +167,12 @@ class FramedLaneTest : public ::testing::Test {
     }
 
     SteadyClock clock;
+    FramedLane::Speaks speaks = [](direct::lane::Wire& socket) {
+        return std::make_unique<direct::lane::PlainChannel>(socket);
+    };
     SeededRandom random{1};
     direct::Claim claim{Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
-    std::shared_ptr<LaneReaders> readers = std::make_shared<LaneReaders>(clock);
+    std::shared_ptr<LaneReaders> readers = std::make_shared<LaneReaders>(clock, GetParam());
 
   private:
     Descriptor listens_{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
@@ -179,12 +187,16 @@ struct Quiet final : LaneReaders::Lane {
     Descriptor sign{::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)};
 };
 
+const auto kSpins = ::testing::Values(0us, 50us);
+const auto kSpinName = [](const auto& one) { return one.param == 0us ? "Sleeping" : "Spinning"; };
+
 /// Both threads must hear of the end, although one of them may take the sign that was for the other. Without
 /// that one round in some ten thousand hangs.
-TEST(LaneReadersTest, EndHoweverLateADeadlineWasSet) {
+class LaneReadersTest : public ::testing::TestWithParam<std::chrono::microseconds> {};
+TEST_P(LaneReadersTest, EndHoweverLateADeadlineWasSet) {
     const SteadyClock clock{};
     for (int round = 0; round < 2000; ++round) {
-        LaneReaders readers(clock);
+        LaneReaders readers(clock, GetParam());
         const auto number = readers.next();
         ASSERT_TRUE(readers.add(number, std::make_shared<Quiet>(), clock.now() + 1h));
         for (int i = 0; i < round % 40; ++i) std::this_thread::yield();
@@ -193,7 +205,7 @@ TEST(LaneReadersTest, EndHoweverLateADeadlineWasSet) {
     }
 }
 
-TEST_F(FramedLaneTest, OpensAndCarriesMessagesBothWays) {
+TEST_P(FramedLaneTest, OpensAndCarriesMessagesBothWays) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     const auto manager = admit();
@@ -214,7 +226,7 @@ TEST_F(FramedLaneTest, OpensAndCarriesMessagesBothWays) {
     ASSERT_TRUE(waitUntil([&] { return path->over.load(); }));
 }
 
-TEST_F(FramedLaneTest, WhatCameBeforeTheEndIsTold) {
+TEST_P(FramedLaneTest, WhatCameBeforeTheEndIsTold) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     {
@@ -230,7 +242,7 @@ TEST_F(FramedLaneTest, WhatCameBeforeTheEndIsTold) {
 }
 
 // The other thread is the relief for that.
-TEST_F(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
+TEST_P(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
     const auto blocked = std::make_shared<Path>(), other = std::make_shared<Path>();
     Barrier barrier;
     blocked->on_message = [&] { barrier.pass(); };
@@ -249,7 +261,7 @@ TEST_F(FramedLaneTest, OneLaneIsReadWhileACallbackOfAnotherDoesNotReturn) {
     EXPECT_TRUE(other->inOrder());
 }
 
-TEST_F(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThreadInOrder) {
+TEST_P(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThreadInOrder) {
     const auto path = std::make_shared<Path>();
     Barrier barrier;
     const auto lane = begin(path);
@@ -269,7 +281,70 @@ TEST_F(FramedLaneTest, WhatComesWhileTheReaderIsInACallbackIsReadByTheOtherThrea
     barrier.letGo();
 }
 
-TEST_F(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
+// A thread that spins keeps the kernel from waking the other one, but only until it has found something.
+TEST_P(FramedLaneTest, AReaderInACallbackIsRelievedAlsoWhileMessagesComeInQuickSuccession) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    constexpr std::size_t kCount = 3000;
+    std::atomic<std::size_t> answered{0};
+    std::atomic<int> unrelieved{0};
+    {
+        const std::lock_guard lock(path->mutex);
+        path->on_read = [&] {
+            const auto now = path->count();
+            if (answered.exchange(now) == now) return;
+            Header head;
+            head.sequence = static_cast<std::int64_t>(now);
+            lane->send(Keeping::Kept, head, std::make_shared<const std::string>("answer"));
+            // The next message is the answer's.
+            if (now % 10 == 0 && now < kCount && !waitUntil([&] { return path->count() > now; }))
+                ++unrelieved;
+        };
+    }
+    axon::FrameReader reader;
+    for (std::size_t i = 1; i <= kCount && unrelieved == 0; ++i) {
+        say(manager, message(static_cast<std::int64_t>(i)));
+        ASSERT_EQ(direct::lane::messageIn(hear(manager, reader)).value().sequence,
+                  static_cast<std::int64_t>(i));
+    }
+    EXPECT_EQ(unrelieved, 0);
+    EXPECT_TRUE(path->inOrder());
+    readers->end();
+}
+
+// Of two lanes that are ready at once, one is left to the other thread.
+TEST_P(FramedLaneTest, TwoLanesThatAreReadyAtOnceAreReadAlthoughTheCallbackOfOneDoesNotReturn) {
+    for (int round = 0; round < 200; ++round) {
+        const auto one = std::make_shared<Path>(), two = std::make_shared<Path>();
+        const auto first = begin(one);
+        const auto manager_of_one = admit();
+        const auto second = begin(two);
+        const auto manager_of_two = admit();
+        ASSERT_TRUE(waitUntil([&] { return one->open && two->open; }));
+        std::atomic<int> inside{0}, left{0};
+        // Each returns only when the other one has been called.
+        const auto both = [&] {
+            ++inside;
+            if (!waitUntil([&] { return inside == 2; })) inside = 100;
+            ++left;
+        };
+        {
+            const std::lock_guard lock_one(one->mutex), lock_two(two->mutex);
+            one->on_message = two->on_message = both;
+        }
+        say(manager_of_one, message(1));
+        say(manager_of_two, message(1));
+        ASSERT_TRUE(waitUntil([&] { return one->count() == 1 && two->count() == 1; }));
+        ASSERT_TRUE(waitUntil([&] { return left == 2; }));
+        ASSERT_EQ(inside, 2) << "round " << round;
+        first->end("over");
+        second->end("over");
+    }
+}
+
+TEST_P(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
     const auto flooded = std::make_shared<Path>(), other = std::make_shared<Path>();
     const auto first = begin(flooded);
     const auto manager_of_first = admit();
@@ -291,7 +366,7 @@ TEST_F(FramedLaneTest, AFloodOnOneLaneLeavesTurnsToOthers) {
     floods.join();
 }
 
-TEST_F(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
+TEST_P(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path, 50ms);
     const auto silent = accept();
@@ -306,7 +381,62 @@ TEST_F(FramedLaneTest, WhoDoesNotAnswerInTimeIsGivenUp) {
     EXPECT_EQ(later->reason, "no answer in time");
 }
 
-TEST_F(FramedLaneTest, WhateverElseAnswersEndsIt) {
+// That of the other reader: the blocked one looks at no deadline.
+TEST_P(FramedLaneTest, ADeadlineOfOneLanePassesWhileACallbackOfAnotherDoesNotReturn) {
+    const auto blocked = std::make_shared<Path>(), before = std::make_shared<Path>(),
+               after = std::make_shared<Path>(), answered = std::make_shared<Path>();
+    Barrier barrier;
+    blocked->on_read = [&, first = std::make_shared<std::atomic<bool>>(true)] {
+        if (blocked->count() > 0 && first->exchange(false)) barrier.pass();
+    };
+    const auto first = begin(blocked);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return blocked->open.load(); }));
+    const auto second = begin(before, 200ms);
+    const auto silent = accept();
+    say(manager, message(1));
+    ASSERT_TRUE(waitUntil([&] { return barrier.taken(); }));
+    const auto third = begin(after, 50ms);
+    const auto silent_too = accept();
+    ASSERT_TRUE(waitUntil([&] { return after->over && before->over; }));
+    // Between the two deadlines of an opening, too: the one that a thread waits for is no longer the next.
+    const auto fourth = begin(answered, 100ms);
+    const auto half = accept();
+    say(half, ManagerOpening(Id128::random(random)).greeting());
+    ASSERT_TRUE(waitUntil([&] { return answered->over.load(); }));
+    for (const auto& path : {before, after, answered}) {
+        const std::lock_guard lock(path->mutex);
+        EXPECT_EQ(path->reason, "no answer in time");
+    }
+    EXPECT_FALSE(blocked->over);
+    barrier.letGo();
+}
+
+// Nothing ends such a connection but the kernel, whose half minute is shortened here. The signal lane, which
+// may live on, is not asked.
+TEST_P(FramedLaneTest, AnEndThatTakesNoBytesOrHearsNothingIsGivenUpByTheKernel) {
+    for (const bool deaf : {false, true}) {
+        const auto path = std::make_shared<Path>();
+        const auto lane = begin(path);
+        const auto manager = admit();
+        ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+        ASSERT_TRUE(test::losePatienceAfter(lane->descriptor(), 100ms));
+        if (deaf) {
+            ASSERT_TRUE(test::deafen(manager.get()));
+        }
+        const auto content = std::make_shared<const std::string>(deaf ? 100 : 1'000'000, 'x');
+        for (std::int64_t i = 1; i <= 8; ++i) {  // more than the sockets take, less than may wait
+            Header head;
+            head.sequence = i;
+            lane->send(Keeping::Kept, head, content);
+        }
+        ASSERT_TRUE(waitUntil([&] { return path->over.load(); })) << deaf;
+        const std::lock_guard lock(path->mutex);
+        EXPECT_EQ(path->reason.find("the connection was lost"), 0U) << path->reason;
+    }
+}
+
+TEST_P(FramedLaneTest, WhateverElseAnswersEndsIt) {
     const std::string ice("IceP\1\0\1\0\3\0\16\0\0\0", 14);  // what Ice says first
     for (const auto& answer : {ice, std::string(4, '\0'), std::string("HTTP/1.1 400 Bad Request\r\n\r\n"),
                                direct::lane::frameOf(Kind::Kept, "x")}) {
@@ -321,7 +451,7 @@ TEST_F(FramedLaneTest, WhateverElseAnswersEndsIt) {
     }
 }
 
-TEST_F(FramedLaneTest, ImproperFramesAfterTheOpeningEndIt) {
+TEST_P(FramedLaneTest, ImproperFramesAfterTheOpeningEndIt) {
     const std::string too_long("\x7f\0\0\0\5", 5);
     for (const auto& wrong : {direct::lane::frameOf(Kind::Nonce, std::string(20, 'n')),
                               direct::lane::frameOf(Kind::Kept, "cut"), too_long}) {
@@ -337,7 +467,7 @@ TEST_F(FramedLaneTest, ImproperFramesAfterTheOpeningEndIt) {
     }
 }
 
-TEST_F(FramedLaneTest, WhatDoesNotFitLeavesWhenTheOtherSideReads) {
+TEST_P(FramedLaneTest, WhatDoesNotFitLeavesWhenTheOtherSideReads) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     const auto manager = admit();
@@ -355,7 +485,7 @@ TEST_F(FramedLaneTest, WhatDoesNotFitLeavesWhenTheOtherSideReads) {
         ASSERT_EQ(direct::lane::messageIn(hear(manager, reader)).value().sequence, i);
 }
 
-TEST_F(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
+TEST_P(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
     const auto path = std::make_shared<Path>();
     const auto lane = begin(path);
     const auto manager = admit();
@@ -371,6 +501,133 @@ TEST_F(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
     const auto late = std::make_shared<Path>();
     const auto none = begin(late);
     EXPECT_TRUE(late->over) << "there are no readers left";
+}
+
+INSTANTIATE_TEST_SUITE_P(Threads, LaneReadersTest, kSpins, kSpinName);
+INSTANTIATE_TEST_SUITE_P(Threads, FramedLaneTest, kSpins, kSpinName);
+
+/// An Entity Manager's end of a lane over TLS.
+class TlsManager {
+  public:
+    TlsManager(Descriptor socket, const std::shared_ptr<const direct::lane::Tls>& tls)
+        : socket_(std::move(socket)), channel_(tls->fromCaller(socket_)) {}
+    /// Until the handshake is over; whether it succeeded.
+    bool shakeHands() {
+        while (state_ == Channel::State::Opening && receive()) {
+        }
+        return state_ == Channel::State::Open;
+    }
+    void say(std::string_view bytes) {
+        while (!bytes.empty()) {
+            const auto taken = channel_->write({&bytes, 1});
+            ASSERT_TRUE(taken);
+            bytes.remove_prefix(*taken);
+        }
+    }
+    std::string hear() {
+        std::string frame;
+        while (!frames_.next(frame))
+            if (!receive()) return {};
+        return frame;
+    }
+
+  private:
+    using Channel = direct::lane::Channel;
+    bool receive() {
+        pollfd one{socket_.descriptor(), POLLIN, 0};
+        if (::poll(&one, 1, 5000) != 1) return false;
+        const auto came = socket_.read(channel_->room(frames_));
+        if (came.bytes > 0) state_ = channel_->filled(frames_, came.bytes);
+        return came.end == direct::lane::LaneSocket::Read::End::No;
+    }
+    direct::lane::LaneSocket socket_;
+    std::unique_ptr<Channel> channel_;
+    axon::FrameReader frames_{direct::lane::kMessageFrameMax};
+    Channel::State state_ = Channel::State::Opening;
+};
+
+class TlsLaneTest : public FramedLaneTest {
+  protected:
+    TlsLaneTest() {
+        speaks = [this](direct::lane::Wire& socket) { return client_->toEntity("robot", socket); };
+    }
+    std::string reasonOf(const std::shared_ptr<Path>& path) {
+        EXPECT_TRUE(waitUntil([&] { return path->over.load(); }));
+        const std::lock_guard lock(path->mutex);
+        return path->reason;
+    }
+    const test::CertificateFolder laboratory_;
+    const std::shared_ptr<const direct::lane::Tls> client_ = direct::lane::Tls::of(
+        laboratory_.credentials(certificates::Kind::Client, "ann"), test::CertificateFolder::now);
+    const std::shared_ptr<const direct::lane::Tls> robot_ = direct::lane::Tls::of(
+        laboratory_.credentials(certificates::Kind::Entity, "robot"), test::CertificateFolder::now);
+};
+
+INSTANTIATE_TEST_SUITE_P(, TlsLaneTest, ::testing::Values(std::chrono::microseconds{0}),
+                         [](const auto&) { return "Sleeping"; });
+
+TEST_P(TlsLaneTest, OpensAndCarriesMessagesBothWays) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    TlsManager manager(accept(), robot_);
+    ASSERT_TRUE(manager.shakeHands());
+    ManagerOpening opening(Id128::random(random));
+    manager.say(opening.greeting());
+    const auto heard = opening.onFrame(manager.hear());
+    ASSERT_EQ(heard.index(), 0U);
+    manager.say(
+        opening.admit(direct::proofOf(std::get<0>(heard).claim, direct::Prover::EntityManager, kKey)));
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    std::string burst;
+    for (std::int64_t i = 1; i <= 1000; ++i)
+        burst += message(i, std::string(static_cast<std::size_t>(i * i % 3000), 'x'));
+    std::thread writes([&] {  // at the same time as the readers read
+        for (std::int64_t i = 1; i <= 50; ++i) {
+            Header head;
+            head.sequence = i;
+            lane->send(Keeping::Kept, head, std::make_shared<const std::string>(50'000, 'y'));
+        }
+    });
+    manager.say(burst);
+    for (std::int64_t i = 1; i <= 50; ++i) {
+        const auto frame = manager.hear();
+        ASSERT_TRUE(direct::lane::messageIn(frame));
+        EXPECT_EQ(direct::lane::messageIn(frame)->sequence, i);
+    }
+    writes.join();
+    ASSERT_TRUE(waitUntil([&] { return path->count() == 1000; }));
+    EXPECT_TRUE(path->inOrder());
+}
+
+TEST_P(TlsLaneTest, AnotherEntityIsNotTalkedTo) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    TlsManager manager(accept(),
+                       direct::lane::Tls::of(laboratory_.credentials(certificates::Kind::Entity, "left"),
+                                             test::CertificateFolder::now));
+    EXPECT_FALSE(manager.shakeHands());
+    EXPECT_NE(reasonOf(path).find("the entity 'left'; expected that of the entity 'robot'"),
+              std::string::npos)
+        << path->reason;
+}
+
+TEST_P(TlsLaneTest, WhoeverDoesNotSpeakTlsIsNotTalkedTo) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    const auto plain = accept();
+    say(plain, ManagerOpening(Id128::random(random)).greeting());
+    EXPECT_NE(reasonOf(path).find("does not speak TLS"), std::string::npos) << path->reason;
+}
+
+TEST_P(TlsLaneTest, AConnectionThatClosesInTheHandshakeIsOver) {
+    const auto path = std::make_shared<Path>();
+    const auto lane = begin(path);
+    ::shutdown(accept().get(), SHUT_RDWR);
+    EXPECT_NE(reasonOf(path), "");
+    const auto silent = std::make_shared<Path>();
+    const auto later = begin(silent, 50ms);
+    const auto manager = accept();
+    EXPECT_EQ(reasonOf(silent), "no answer in time");
 }
 
 }  // namespace

@@ -2,10 +2,10 @@
 #include "client/direct/lane_readers.hpp"
 
 #include <pthread.h>
-#include <sys/epoll.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <limits>
 #include <system_error>
 #include <utility>
 #include <vector>
@@ -13,8 +13,13 @@
 namespace axon::client {
 namespace {
 
+using direct::lane::Spinner;
+
+constexpr std::uint32_t kAnyLane = EPOLLIN | EPOLLET;
 constexpr std::uint32_t kWatched = EPOLLIN | EPOLLOUT | EPOLLRDHUP | EPOLLET;
+// Numbers of what is no lane.
 constexpr std::uint64_t kWake = 0;
+constexpr std::uint64_t kLanes = std::numeric_limits<std::uint64_t>::max();
 
 bool watch(int set, int operation, int descriptor, std::uint32_t events, std::uint64_t number) {
     epoll_event event{};
@@ -38,9 +43,18 @@ bool LaneReaders::start() {
     if (epoll_.open()) return true;
     Descriptor set(::epoll_create1(EPOLL_CLOEXEC));
     wake_.emplace();
-    if (!set.open() || !wake_->open() || !watch(set.get(), EPOLL_CTL_ADD, wake_->fd(), EPOLLIN, kWake))
+    if (!set.open() || !wake_->open()) return false;
+    Descriptor sleepers;
+    if (Spinner(spin_).spins()) {
+        sleepers = Descriptor(::epoll_create1(EPOLL_CLOEXEC));
+        // Without it they sleep in the first one, and do not spin.
+        if (sleepers.open() && !watch(sleepers.get(), EPOLL_CTL_ADD, set.get(), kAnyLane, kLanes))
+            sleepers = Descriptor();
+    }
+    if (!watch((sleepers.open() ? sleepers : set).get(), EPOLL_CTL_ADD, wake_->fd(), EPOLLIN, kWake))
         return false;
     epoll_ = std::move(set);
+    sleepers_ = std::move(sleepers);
     try {
         for (auto& thread : threads_) thread = std::thread([this] { run(); });
     } catch (const std::system_error&) {
@@ -146,12 +160,46 @@ void LaneReaders::tellOverdue() {
     for (const auto& lane : overdue) lane->overdue();
 }
 
+/// While this thread looks at the lanes itself, the other one is not to be woken for them. When that ends,
+/// the kernel looks whether there is something left.
+void LaneReaders::wakeSleepers(bool whether) const {
+    watch(sleepers_.get(), EPOLL_CTL_MOD, epoll_.get(), whether ? kAnyLane : 0, kLanes);
+}
+
+/// Of a lane, after sleep. The edge of the set has been told to this thread alone, so a second lane that is
+/// ready is put back, which makes another edge.
+int LaneReaders::takeOne(epoll_event& event) {
+    std::array<epoll_event, 2> ready{};
+    const int count = ::epoll_wait(epoll_.get(), ready.data(), static_cast<int>(ready.size()), 0);
+    if (count == 2) {
+        again(ready[1].data.u64);
+        wakeSleepers(true);  // it may be gone or read by now, and a third one ready
+    }
+    event = ready[0];
+    return std::min(count, 1);
+}
+
+/// One at a time: what else is ready is the other thread's while this one is inside a callback. As
+/// epoll_wait.
+int LaneReaders::await(Spinner& spinner, epoll_event& event) {
+    if (!sleepers_.open()) return ::epoll_wait(epoll_.get(), &event, 1, timeout());
+    int count = 0;
+    const bool found =
+        spinner.spin([this] { wakeSleepers(false); },
+                     [&] { return (count = ::epoll_wait(epoll_.get(), &event, 1, 0)) != 0 || over_; },
+                     [this] { wakeSleepers(true); });
+    if (found) return count;
+    count = ::epoll_wait(sleepers_.get(), &event, 1, timeout());
+    spinner.came();
+    return count > 0 && event.data.u64 == kLanes ? takeOne(event) : count;
+}
+
 void LaneReaders::run() {
     ::pthread_setname_np(::pthread_self(), "axon-direct");
+    Spinner spinner(spin_);
     while (!over_) {
-        // One at a time: what else is ready is the other thread's while this one is inside a callback.
         epoll_event event{};
-        const int count = ::epoll_wait(epoll_.get(), &event, 1, timeout());
+        const int count = await(spinner, event);
         if (over_) break;
         if (count > 0 && event.data.u64 == kWake) {
             wake_->drain();

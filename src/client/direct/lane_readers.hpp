@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <sys/epoll.h>
+
 #include <array>
 #include <atomic>
 #include <cstdint>
@@ -11,6 +13,7 @@
 
 #include "common/clock.hpp"
 #include "common/descriptor.hpp"
+#include "direct/lane/spin.hpp"
 #include "host/wake_up.hpp"
 
 namespace axon::client {
@@ -38,7 +41,8 @@ class LaneReaders {
         virtual void overdue() = 0;
     };
 
-    explicit LaneReaders(const Clock& clock) : clock_(clock) {}
+    /// `spin`: as Spinner's.
+    explicit LaneReaders(const Clock& clock, Duration spin = {}) : clock_(clock), spin_(spin) {}
     ~LaneReaders();
     LaneReaders(const LaneReaders&) = delete;
     LaneReaders& operator=(const LaneReaders&) = delete;
@@ -61,11 +65,15 @@ class LaneReaders {
     };
     bool start();
     void run();
+    int await(direct::lane::Spinner& spinner, epoll_event& event);
+    int takeOne(epoll_event& event);
+    void wakeSleepers(bool whether) const;
     int timeout();
     void tellOverdue();
     std::shared_ptr<Lane> laneOf(std::uint64_t number) const;
 
     const Clock& clock_;
+    const Duration spin_;
     mutable std::mutex mutex_;
     // Guarded by mutex_:
     std::map<std::uint64_t, Entry> lanes_;
@@ -74,7 +82,9 @@ class LaneReaders {
     std::atomic<std::uint64_t> last_{0};
     std::atomic<std::size_t> deadlines_{0};  // how many lanes have one
     std::atomic<bool> over_{false};
-    Descriptor epoll_;            // these two constant once there are threads
+    // These constant once there are threads. Where they may spin, they sleep in the second set, which tells
+    // whether there is something in the first one; else in the first one, and there is no second.
+    Descriptor epoll_, sleepers_;
     std::optional<WakeUp> wake_;  // none before the first start()
 };
 

@@ -8,6 +8,7 @@
 #include "transport/ice/convert.hpp"
 #include "transport/ice/direct_head.hpp"
 #include "transport/ice/lane_socket.hpp"
+#include "transport/ice/tls.hpp"
 
 static_assert(axon::direct::lane::kContract == Axon::CommUtil::ContractNumber,
               "the data lane of a direct path says the number of the contracts");
@@ -30,6 +31,16 @@ transport::OutboxLimits dataLimits() {
     limits.data_bytes = kWaitingBytesMax + 1024 * 1024;
     limits.control_bytes = 2 * kWaitingBytesMax;
     return limits;
+}
+
+/// Why the connection is not one to the entity of this name; empty: it is. Its CA has been checked.
+std::string mistrusted(const Ice::Connection& connection, const std::string& name) {
+    const auto shown = transport::certificateOf(connection);
+    if (!shown) return "was not shown";
+    certificates::Certificate its;
+    its.name = shown->name;
+    its.unit = shown->unit;
+    return certificates::mismatch(its, certificates::Kind::Entity, name);
 }
 
 Axon::CommUtil::Bytes toIceBytes(const std::string& bytes) {
@@ -61,10 +72,11 @@ class NetworkPath::Callback final : public slice::DirectCallback {
 
 NetworkPath::NetworkPath(std::shared_ptr<LaneReaders> readers, const LaneHome& signal, DirectOffer offer,
                          Id128 number, std::shared_ptr<Backlog> backlog, const Clock& clock,
-                         std::weak_ptr<DirectPathEvents> events)
+                         std::weak_ptr<DirectPathEvents> events, std::shared_ptr<Communicators> secured)
     : DirectPath(std::move(offer), number, clock),
       readers_(std::move(readers)),
-      home_(signal),
+      plain_home_(signal),
+      secured_(std::move(secured)),
       backlog_(std::move(backlog)),
       events_(std::move(events)) {}
 
@@ -74,10 +86,14 @@ NetworkPath::~NetworkPath() {
 
 void NetworkPath::open(Duration timeout) {
     timeout_ms_ = static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count());
-    auto socket = direct::lane::LaneSocket::connectTo(offer_.data_endpoint);
+    if (DirectOffer::overTls(offer_.signal_endpoint) != overTls() ||
+        (overTls() && (!secured_ || !secured_->tls())))
+        return close("this side has no certificate with which to check the other one over TLS");
+    auto socket =
+        direct::lane::LaneSocket::connectTo(std::string(DirectOffer::addressIn(offer_.data_endpoint)));
     if (!socket) return close(socket.refusal().message);
     data_ = std::make_shared<FramedLane>(
-        readers_, std::move(socket).value(),
+        readers_, std::move(socket).value(), [this](direct::lane::Wire& its) { return channelOver(its); },
         direct::lane::ClientOpening(
             claim(),
             [weak = weak_from_this()](const Id128& nonce) {
@@ -102,6 +118,11 @@ void NetworkPath::open(Duration timeout) {
     }
     if (late) return data_->end("it has ended");
     data_->start(timeout);
+}
+
+std::unique_ptr<direct::lane::Channel> NetworkPath::channelOver(direct::lane::Wire& socket) const {
+    if (overTls()) return secured_->tls()->toEntity(offer_.name, socket);
+    return std::make_unique<direct::lane::PlainChannel>(socket);
 }
 
 void NetworkPath::laneMessage(const direct::lane::MessageView& message) {
@@ -137,6 +158,7 @@ std::function<void(std::exception_ptr)> NetworkPath::failure() {
 
 void NetworkPath::openSignals() {
     step([&] {
+        home_ = overTls() ? secured_->directSignal() : plain_home_;
         // A connection identifier of its own: a path lives and dies with its connections.
         signal_.gate = Ice::uncheckedCast<slice::DirectGatePrx>(
             home_.communicator->stringToProxy("DirectGate:" + transport::tcpEndpoint(offer_.signal_endpoint))
@@ -154,6 +176,13 @@ void NetworkPath::challenged(const Axon::CommUtil::Bytes& nonce) {
         if (!connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
         const auto number = Id128::fromBytes({reinterpret_cast<const char*>(nonce.data()), nonce.size()});
         if (!number) return close("its nonce is none");
+        if (overTls()) {
+            // Before anything is proved to it.
+            if (const auto why = mistrusted(*connection, offer_.name); !why.empty()) {
+                connection->close(Ice::ConnectionClose::Forcefully);
+                return close("the certificate " + why);
+            }
+        }
         connection->setAdapter(home_.adapter);
         transport::prepareSignalLane(*connection);
         const auto callback = Ice::uncheckedCast<slice::DirectCallbackPrx>(

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "client/connection/backlog.hpp"
+#include "client/connection/communicators.hpp"
 #include "client/connection/server_connection.hpp"
 #include "client/direct/direct_path.hpp"
 #include "client/direct/framed_lane.hpp"
@@ -20,14 +21,17 @@
 namespace axon::client {
 
 /// A direct path over the network: frames on the data lane, read by the session's LaneReaders, and Ice on the
-/// signal lane, on the communicator of the session. Nothing waits: each lane is opened by what answers, what
-/// is sent goes to the socket from the caller's thread or into the lane's outbox.
+/// signal lane, on the communicator of the session. Both are TLS where the endpoints say so: then each is
+/// used only once whoever answers has shown the entity's certificate. Nothing waits: each lane is opened by
+/// what answers, what is sent goes to the socket from the caller's thread or into the lane's outbox.
 class NetworkPath final : public DirectPath,
                           private FramedLane::Owner,
                           public std::enable_shared_from_this<NetworkPath> {
   public:
+    /// `secured`: what paths over TLS need; null: there are none.
     NetworkPath(std::shared_ptr<LaneReaders> readers, const LaneHome& signal, DirectOffer offer, Id128 number,
-                std::shared_ptr<Backlog> backlog, const Clock& clock, std::weak_ptr<DirectPathEvents> events);
+                std::shared_ptr<Backlog> backlog, const Clock& clock, std::weak_ptr<DirectPathEvents> events,
+                std::shared_ptr<Communicators> secured = nullptr);
     ~NetworkPath() override;
 
     void open(Duration timeout) override;
@@ -56,6 +60,8 @@ class NetworkPath final : public DirectPath,
     void laneRead() override;
     void laneOver(const std::string& why) override { close(why); }
 
+    bool overTls() const { return DirectOffer::overTls(offer_.data_endpoint); }
+    std::unique_ptr<direct::lane::Channel> channelOver(direct::lane::Wire& socket) const;
     void openSignals();
     void challenged(const Axon::CommUtil::Bytes& nonce);
     void opened(const Axon::DirectComm::Opened& its);
@@ -66,11 +72,13 @@ class NetworkPath final : public DirectPath,
     void post(transport::Traffic traffic, Send send) const;
 
     const std::shared_ptr<LaneReaders> readers_;
-    const LaneHome home_;  // of signals
+    const LaneHome plain_home_;  // of signals
+    const std::shared_ptr<Communicators> secured_;
     const std::shared_ptr<Backlog> backlog_;
     const std::weak_ptr<DirectPathEvents> events_;
     int timeout_ms_ = 0;
     // Each written by one step of the opening, and read after open_ by others.
+    LaneHome home_;
     std::shared_ptr<FramedLane> data_;
     SignalLane signal_;
     mutable std::mutex mutex_;

@@ -3,6 +3,7 @@
 
 #include <arpa/inet.h>
 #include <gtest/gtest.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/socket.h>
 
@@ -74,6 +75,27 @@ TEST(LaneSocketTest, ConnectsWithoutWaitingAndSaysWhatCameOfIt) {
     ASSERT_TRUE(ready(there.descriptor(), POLLIN));
     EXPECT_EQ(there.read(bytes).end, End::Closed);
     EXPECT_FALSE(here.write(pieces).has_value());
+}
+
+int optionOf(const LaneSocket& lane, int level, int option) {
+    int value = -1;
+    socklen_t size = sizeof value;
+    ::getsockopt(lane.descriptor(), level, option, &value, &size);
+    return value;
+}
+
+// What the reference promises of a lane whose signal lane lives on; that such an end of the connection ends
+// the path is the lane's to test.
+TEST(LaneSocketTest, TheKernelGivesUpALaneThatIsSilentForHalfAMinute) {
+    Listener listener;
+    LaneSocket here(LaneSocket::connectTo(listener.endpoint()).value());
+    EXPECT_EQ(optionOf(here, IPPROTO_TCP, TCP_NODELAY), 1);
+    EXPECT_EQ(optionOf(here, IPPROTO_TCP, TCP_USER_TIMEOUT), 30'000) << "bytes that are not taken";
+    EXPECT_EQ(optionOf(here, SOL_SOCKET, SO_KEEPALIVE), 1);
+    EXPECT_EQ(optionOf(here, IPPROTO_TCP, TCP_KEEPIDLE) +
+                  optionOf(here, IPPROTO_TCP, TCP_KEEPINTVL) * optionOf(here, IPPROTO_TCP, TCP_KEEPCNT),
+              30)
+        << "an idle lane";
 }
 
 TEST(LaneSocketTest, AFullConnectionTakesNothingAndDoesNotWait) {

@@ -201,10 +201,10 @@ void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
     settle();
 }
 
-void EntityManagerCore::hear(proto::EiToEm& message) {
+bool EntityManagerCore::hear(proto::EiToEm& message) {
     if (quit_ || !link_up_) {
         ++counters_.unexpected;
-        return;
+        return true;
     }
     if (AXON_PLANTED(WatchdogFedByTheApplication)) presence_.heard();
     switch (message.body_case()) {
@@ -215,7 +215,9 @@ void EntityManagerCore::hear(proto::EiToEm& message) {
 #include "entity_manager/core/turn/reports.def"
 #undef AXON_REPORT
     }
+    if (message.has_sample() || message.has_raw()) return false;  // passed on, or counted as undelivered
     settle();
+    return true;
 }
 
 void EntityManagerCore::profilesAreGood(const proto::BasicProfile& basic) {
@@ -314,23 +316,26 @@ void EntityManagerCore::granted(Incident& granted) {
         fire(Event::ApplicationBusy);
 }
 
-void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) {
-    if (quit_) return;
+bool EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) {
+    if (quit_) return true;
     const auto request = reader_.read(head, bytes, teamwork_.isPartner(head.sender.id));
-    if (!request) return;
+    if (!request) return true;
     if (teamwork_.hear(head, *request->body)) {
         settle();
-        return;
+        return true;
     }
     const auto event = request->event;
     if (event == Event::Quit) {
         reader_.refuseOther(head, *request);
-        return;
+        return true;
     }
     // What is over must not win because its timer is late.
     if (event == Event::CheckOut || event == Event::HandOver) ownership_.onTimer();
+    const auto refused = counters_.raw_refused;
     process(event, request->right->who, head, request->body);
-    if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
+    if (event == Event::Raw) return counters_.raw_refused != refused;  // a refusal may ask a direct path
+    settle();
+    return true;
 }
 
 void EntityManagerCore::onPeerRefusal(const Header& head, const Refusal& refusal) {

@@ -82,18 +82,20 @@ class EntityManagerCore final : private Turn,
     /// It has been looked for in vain: what was found instead, for whoever asks why the entity is UNAV.
     void onApplicationSought(const std::string& finding);
     void onLinkDown(const std::string& reason, LinkEnd end = LinkEnd::Closed);
-    void onLinkMessage(const proto::EiToEm& message) {
+    /// False where it was a sample or raw data, after which everything here is as it was, nextDeadline() too.
+    bool onLinkMessage(const proto::EiToEm& message) {
         auto copy = message;
-        hear(copy);
+        return hear(copy);
     }
     /// The same without a copy of bulk data; the message is left in some valid state.
-    void onLinkMessage(proto::EiToEm&& message) { hear(message); }
+    bool onLinkMessage(proto::EiToEm&& message) { return hear(message); }
 
     // From the server. `bytes` is an axon.proto.ToEntity.
     void onServerUp();
     void onServerDown(const std::string& reason);
-    /// Or from another entity, whose UUID is head.sender.id then.
-    void onClientMsg(const Header& head, std::string_view bytes);
+    /// Or from another entity, whose UUID is head.sender.id then. False where it was raw data that was passed
+    /// on, after which everything here is as it was, nextDeadline() too.
+    bool onClientMsg(const Header& head, std::string_view bytes);
     /// What was sent to another entity (ServerPort::sendToPeer) did not arrive; `head` is that of the
     /// message.
     void onPeerRefusal(const Header& head, const Refusal& refusal);
@@ -148,7 +150,7 @@ class EntityManagerCore final : private Turn,
 
   private:
     /// From the link; the message is left in some valid state.
-    void hear(proto::EiToEm& message);
+    bool hear(proto::EiToEm& message);
     void rawCame(proto::LinkRaw& raw) {
         raw.to().empty() ? holder_channel_.rawCame(raw) : teamwork_.sendRaw(raw);
     }

@@ -622,6 +622,30 @@ TEST_F(Held, RawDataIsMovedNotCopied) {
     EXPECT_TRUE(rig.to_clients.back().droppable);
 }
 
+// Its owner need not look what has changed, and when the next time is due, after each message of a stream.
+TEST_F(Held, OnlyAfterDataThatIsPassedOnIsEverythingAsItWas) {
+    proto::ToEntity raw, text;
+    raw.mutable_raw()->add_data("x");
+    text.mutable_text()->set_text("x");
+    const auto sent = [&](const std::string& client, const proto::ToEntity& message) {
+        return rig.core().onClientMsg(rig.headOf(client, message), message.SerializeAsString());
+    };
+    const auto before = rig.core().nextDeadline();
+    EXPECT_FALSE(sent("client1", raw));
+    EXPECT_TRUE(rig.to_application.back().has_raw());
+    EXPECT_EQ(rig.core().nextDeadline(), before);
+    EXPECT_TRUE(sent("client2", raw)) << "a refusal is sent";
+    EXPECT_TRUE(sent("client1", text));
+
+    proto::EiToEm data, sample, position;
+    data.mutable_raw()->add_data("x");
+    sample.mutable_sample()->set_stream("s");
+    position.mutable_position()->set_xpos(1);
+    EXPECT_FALSE(rig.core().onLinkMessage(std::move(data)));
+    EXPECT_FALSE(rig.core().onLinkMessage(std::move(sample)));
+    EXPECT_TRUE(rig.core().onLinkMessage(std::move(position)));
+}
+
 TEST_F(Held, AnAnswerThatComesAfterTheLeaseSetsNothingForTheNextHolder) {
     rig.setParam("client1", "r2", "Driving", "Speed=555");
     proto::ToEntity release;

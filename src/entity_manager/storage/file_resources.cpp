@@ -29,22 +29,6 @@ namespace fs = std::filesystem;
 
 namespace {
 
-std::string safeName(std::string_view name) {
-    std::string safe;
-    for (const char c : name) {
-        const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
-                           c == '-' || c == '_' || c == ' ';
-        safe += plain ? std::string(1, c) : "%" + hex({&c, 1});
-    }
-    if (safe.empty()) return "%";
-    // Longer than a file system's names may be: the beginning, for people, and a hash, for uniqueness.
-    if (safe.size() <= 200) return safe;
-    std::array<unsigned char, crypto_generichash_BYTES> hash{};
-    crypto_generichash(hash.data(), hash.size(), reinterpret_cast<const unsigned char*>(name.data()),
-                       name.size(), nullptr, 0);
-    return safe.substr(0, 100) + '%' + hex({reinterpret_cast<const char*>(hash.data()), 16});
-}
-
 Refusal storeRefusal(const char* what, const fs::path& path) {
     const auto error = errno;
     const bool full = error == ENOSPC || error == EDQUOT;

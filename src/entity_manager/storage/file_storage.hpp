@@ -15,15 +15,17 @@
 
 namespace axon::entity_manager {
 
-/// Storage in a folder, one file for each key, named by the key's hexadecimal digits so that no key can be a
-/// path. Values are written to a new file, synchronised and renamed: after a crash there is the old or the
-/// new value. Threads: one at a time; one of its own writes what is to be kept and deletes what is to be
-/// forgotten, that first, and tries again each second while it cannot. Bounded: one value waits for each key.
-/// One process has the folder: whose lock it cannot get is a std::runtime_error that names the other one, by
-/// the constructor. Failure: std::system_error with the file's name.
+/// Storage in a folder, one file for each key, KEY.state (safeName, so that no key can be a path). Values are
+/// written to a new file, synchronised and renamed: after a crash there is the old or the new value. Threads:
+/// one at a time; one of its own writes what is to be kept and deletes what is to be forgotten, that first,
+/// and tries again each second while it cannot. Bounded: one value waits for each key. One process has the
+/// folder: whose lock it cannot get is a std::runtime_error that names the other one, by the constructor.
+/// Failure: std::system_error with the file's name.
 class FileStorage final : public Storage {
   public:
-    /// Makes the folder (mode 0700) where it is missing. `on_thread` is called first on its thread.
+    /// Makes the folder (mode 0700) where it is missing. Files of releases that named them by the hexadecimal
+    /// digits of the key get their new names, and take the place of what is there under new names if such a
+    /// release has run since. `on_thread` is called first on its thread.
     explicit FileStorage(std::filesystem::path folder, std::function<void()> on_thread = {});
     /// Tries once more to write what waits.
     ~FileStorage() override;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/storage/file_storage.hpp"
 #include "entity_manager/storage/file_resources.hpp"
+#include "entity_manager/storage/state_files.hpp"
 
 #include <axon/transfer.pb.h>
 #include <fcntl.h>
@@ -94,8 +95,58 @@ TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
     storage.save("../../etc/uuid", std::string("two\0x", 5));
     EXPECT_EQ(storage.load("../../etc/uuid"), std::string("two\0x", 5));
     EXPECT_EQ(storage.load("other"), std::nullopt);
-    EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 2) << "and the lock";
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 3) << "and the lock, and the marker";
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), {}), 1);
+}
+
+TEST_F(Folder, AValueLiesInAFileOfItsName) {
+    FileStorage(folder).save("uuid", "one");
+    EXPECT_EQ(content((folder / "uuid.state").string()), "one");
+    EXPECT_EQ(fs::status(folder / "uuid.state").permissions(),
+              fs::perms::owner_read | fs::perms::owner_write);
+}
+
+/// As releases before 0.1 kept it.
+void keepAsBefore(const fs::path& folder, const std::string& key, const std::string& value) {
+    std::ofstream(folder / (hex(key) + ".value"), std::ios::binary) << value;
+}
+
+TEST_F(Folder, WhatAnOldReleaseKeptIsThereUnderItsNewName) {
+    keepAsBefore(folder, "uuid", "one");
+    keepAsBefore(folder, "../x", "two");
+    std::ofstream(folder / (hex("uuid") + ".value.new")) << "half";
+    std::ofstream(folder / "notes.value") << "somebody's own";
+    {
+        FileStorage storage(folder);
+        EXPECT_EQ(storage.load("uuid"), "one");
+        EXPECT_EQ(storage.load("../x"), "two");
+    }
+    EXPECT_TRUE(fs::exists(folder / "uuid.state"));
+    EXPECT_FALSE(fs::exists(folder / (hex("uuid") + ".value")));
+    EXPECT_FALSE(fs::exists(folder / (hex("uuid") + ".value.new")));
+    EXPECT_EQ(content((folder / "notes.value").string()), "somebody's own");
+    EXPECT_EQ(FileStorage(folder).load("uuid"), "one") << "and in the next life";
+}
+
+TEST_F(Folder, ARenamingThatWasBrokenOffGoesOn) {
+    keepAsBefore(folder, "uuid", "one");
+    std::ofstream(folder / "free.state") << "1";  // renamed already; the marker is written at the end
+    FileStorage storage(folder);
+    EXPECT_EQ(storage.load("uuid"), "one");
+    EXPECT_EQ(storage.load("free"), "1");
+}
+
+TEST_F(Folder, WhatAnOldReleaseKeptLaterCountsAlone) {
+    {
+        FileStorage storage(folder);
+        storage.save("uuid", "new");
+        storage.save("free", "1");
+    }
+    // An old release is started again, and latches the robot: it keeps no "free".
+    keepAsBefore(folder, "uuid", "old");
+    FileStorage storage(folder);
+    EXPECT_EQ(storage.load("uuid"), "old");
+    EXPECT_EQ(storage.load("free"), std::nullopt) << "the robot is latched";
 }
 
 /// What a loss of power leaves of a write that was not over: the beginning of the new file, of any length.
@@ -103,7 +154,7 @@ TEST_F(Folder, TheBeginningOfAWriteIsNotReadAndNotInTheWay) {
     FileStorage(folder).save("latch", "old");
     const auto place = fs::directory_iterator(folder);
     const auto value = std::find_if(place, {}, [](const auto& entry) {
-                           return entry.path().extension() == ".value";
+                           return entry.path().extension() == ".state";
                        })->path();
     const std::string fresh = "the new value";
     for (std::size_t length = 0; length <= fresh.size(); ++length) {
@@ -151,7 +202,7 @@ struct StuckFile {
 };
 
 TEST_F(Folder, WhatIsKeptIsNotWaitedForAndIsTriedUntilTheDiskHasIt) {
-    const StuckFile stuck(folder / "6b.value.new");  // of the key "k"
+    const StuckFile stuck(folder / "k.state.new");  // of the key "k"
     {
         FileStorage storage(folder);
         storage.keep("k", "1");
@@ -161,7 +212,7 @@ TEST_F(Folder, WhatIsKeptIsNotWaitedForAndIsTriedUntilTheDiskHasIt) {
     }
     EXPECT_EQ(FileStorage(folder).load("k"), "2");
     {
-        const StuckFile again(folder / "6b.value.new");
+        const StuckFile again(folder / "k.state.new");
         FileStorage storage(folder);
         storage.keep("k", "3");
         storage.keep("k", "4");
@@ -173,7 +224,7 @@ TEST_F(Folder, WhatIsKeptIsNotWaitedForAndIsTriedUntilTheDiskHasIt) {
 }
 
 TEST_F(Folder, WhatIsForgottenIsNotWaitedForAndDoesNotComeBack) {
-    const StuckFile stuck(folder / "6b.value.new");
+    const StuckFile stuck(folder / "k.state.new");
     {
         FileStorage storage(folder);
         storage.keep("k", "1");
@@ -184,7 +235,7 @@ TEST_F(Folder, WhatIsForgottenIsNotWaitedForAndDoesNotComeBack) {
 }
 
 TEST_F(Folder, NothingIsKeptWhileADeletionFails) {
-    fs::create_directories(folder / "6b.value");  // cannot be deleted as a file
+    fs::create_directories(folder / "k.state");  // cannot be deleted as a file
     {
         FileStorage storage(folder);
         storage.forget("k");
@@ -193,7 +244,7 @@ TEST_F(Folder, NothingIsKeptWhileADeletionFails) {
     {
         FileStorage next(folder);
         EXPECT_EQ(next.load("other"), std::nullopt) << "a robot's latch is a deletion";
-        fs::remove(folder / "6b.value");
+        fs::remove(folder / "k.state");
         next.forget("k");
         next.keep("other", "2");
     }

@@ -39,6 +39,10 @@ class File {
 /// Two digits for each byte.
 std::string hex(std::string_view bytes);
 
+/// The name as a file's: letters, digits, '-', '_' and ' ' stay, other bytes become "%" and two digits, so
+/// that no name is a path. Different names stay different.
+std::string safeName(std::string_view name);
+
 /// Makes the folder (mode 0700) where it is missing. Throws std::runtime_error that says how to fix it.
 void makeFolder(const std::filesystem::path& folder);
 

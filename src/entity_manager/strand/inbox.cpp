@@ -38,6 +38,7 @@ Inbox::Verdict Inbox::pushSignal(Signal kind, Event event, SenderKey from) {
         }
         signalAt(signal_count_) = {kind, std::move(event), from};
         ++signal_count_;
+        signals_left_ = signal_count_;
         peers_ += kind == Signal::Peer ? 1 : 0;
     }
     return wake();
@@ -67,6 +68,7 @@ Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes, Share share)
         const std::lock_guard lock(mutex_);
         if (!fits(bytes, share)) return Verdict::Overflow;
         waiting_.push_back({std::move(event), bytes});
+        events_left_ = waiting_.size();
         ++control_events_;
         control_bytes_ += bytes;
     }
@@ -94,6 +96,7 @@ Inbox::Verdict Inbox::pushData(Event event, std::size_t bytes) {
             waiting_.erase(oldest);
         }
         waiting_.push_back({std::move(event), bytes, true});
+        events_left_ = waiting_.size();
         ++data_events_;
         data_bytes_ += bytes;
     }
@@ -110,20 +113,22 @@ Inbox::Event Inbox::take() {
 }
 
 Inbox::Event Inbox::next() {
-    {
+    if (signals_left_ > 0) {
         const std::lock_guard lock(signal_mutex_);
         if (signal_count_ > 0) {
             Event event = std::exchange(signalAt(0).event, nullptr);
             peers_ -= signalAt(0).kind == Signal::Peer ? 1 : 0;
             signal_first_ = (signal_first_ + 1) % signals_.size();
-            --signal_count_;
+            signals_left_ = --signal_count_;
             return event;
         }
     }
+    if (events_left_ == 0) return nullptr;
     const std::lock_guard lock(mutex_);
     if (waiting_.empty()) return nullptr;
     Waiting first = std::move(waiting_.front());
     waiting_.pop_front();
+    events_left_ = waiting_.size();
     if (first.data) {
         --data_events_;
         data_bytes_ -= first.bytes;

@@ -104,6 +104,8 @@ class Inbox {
     std::size_t peers_ = 0;                        // guarded by signal_mutex_: of the waiting signals
     std::atomic<bool> scheduled_{
         false};  // whether the strand will come; no lock, so that data takes none of signals
+    // How many there are of each, written under their locks: the strand takes no lock where there is nothing.
+    std::atomic<std::size_t> signals_left_{0}, events_left_{0};
 
     bool fits(std::size_t bytes, Share share) const {
         const std::size_t part = share == Share::Half ? 2 : 1;

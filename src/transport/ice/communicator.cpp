@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <stdexcept>
 
 #include "transport/ice/endpoint.hpp"
@@ -34,7 +35,8 @@ Refusal noServerBehind() {
 void requestRealTime(int priority) {
     sched_param parameters{};
     parameters.sched_priority = priority;
-    const int error = pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
+    // Threads that this one starts are ordinary ones, unless they ask for themselves.
+    const int error = ::sched_setscheduler(0, SCHED_RR | SCHED_RESET_ON_FORK, &parameters) == 0 ? 0 : errno;
     static std::atomic<bool> said{false};  // a process has many such threads; its operator is told once
     if (error != 0 && !said.exchange(true)) {
         // The client library has a logger of its own; standard output is its program's.

@@ -25,6 +25,7 @@ inline constexpr int kStopPriority = 10;
 inline constexpr int kReceiptPriority = 5;
 
 /// SCHED_RR for the calling thread, where permitted; where not, that is logged once and nothing changes.
+/// Threads that it starts afterwards do not inherit it.
 void requestRealTime(int priority);
 
 /// What differs between the project's communicators; all else is decided in makeCommunicator, in one place.

@@ -44,8 +44,9 @@ void TimerThread::run() {
     if (lane_ == Lane::Signal) {
         sched_param parameters{};
         parameters.sched_priority = kStopPriority;
-        // Refused where not permitted; the signal lane's communicator says so for both.
-        pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
+        // Refused where not permitted; the signal lane's communicator says so for both. What it starts, such
+        // as the readers of direct paths, is ordinary.
+        ::sched_setscheduler(0, SCHED_RR | SCHED_RESET_ON_FORK, &parameters);
     }
     while (true) {
         const auto due = tick_();

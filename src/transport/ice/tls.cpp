@@ -5,10 +5,12 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <cctype>
 #include <memory>
 #include <utility>
 
 #include "certificates/certificate.hpp"
+#include "certificates/folder.hpp"
 #include "common/rate_limit.hpp"
 
 namespace axon::transport {
@@ -86,6 +88,11 @@ std::string remoteOf(const std::string& message) {
     return message.substr(begin, message.find('\n', begin) - begin);
 }
 
+/// The plug-in's; null without it.
+std::shared_ptr<IceSSL::Plugin> pluginOf(const std::shared_ptr<Ice::Communicator>& communicator) {
+    return std::dynamic_pointer_cast<IceSSL::Plugin>(communicator->getPluginManager()->getPlugin("IceSSL"));
+}
+
 std::string onOneLine(std::string text) {
     std::replace(text.begin(), text.end(), '\n', ' ');
     return text;
@@ -141,6 +148,66 @@ bool speaksTls(const std::map<std::string, std::string>& properties) {
     return properties.contains("IceSSL.CertFile") || properties.contains("IceSSL.FindCert");
 }
 
+certificates::WallTime wallTime() {
+    return std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now());
+}
+
+certificates::Credentials credentialsOf(const std::map<std::string, std::string>& properties) {
+    const auto value = [&](const char* key, const char* otherwise = "") {
+        const auto found = properties.find(key);
+        return found == properties.end() ? std::string(otherwise) : found->second;
+    };
+    const std::filesystem::path folder = value("IceSSL.DefaultDir");
+    const auto read = [&](const char* key, const std::string& name) {
+        if (name.empty())
+            throw certificates::Unusable(std::string(key) + " is not configured",
+                                         "the lines of the file KIND-NAME.cfg of axon certs issue");
+        return certificates::readFile(folder / name,
+                                      std::string("name a file of axon certs issue in ") + key);
+    };
+    // What only IceSSL would check must not be left unchecked.
+    for (const auto& [key, set] : properties)
+        if (!set.empty() && (key.starts_with("IceSSL.TrustOnly") || key.starts_with("IceSSL.Revocation") ||
+                             key == "IceSSL.CertificateRevocationListFiles"))
+            throw certificates::Unusable(key + " is known to IceSSL only",
+                                         "leave it out, or everything stays relayed");
+    certificates::Credentials its;
+    its.authorities = read("IceSSL.CAs", value("IceSSL.CAs"));
+    const auto certificate = value("IceSSL.CertFile");
+    its.certificate = read("IceSSL.CertFile", certificate);
+    its.key = read("IceSSL.KeyFile", value("IceSSL.KeyFile", certificate.c_str()));
+    its.password = value("IceSSL.Password");
+    const auto verifies = value("IceSSL.VerifyPeer", "2");
+    using Peer = certificates::Credentials::Peer;
+    its.caller = verifies == "0" ? Peer::NotAsked : verifies == "1" ? Peer::Asked : Peer::Required;
+    auto least = value("IceSSL.ProtocolVersionMin", "tls1_3");
+    std::transform(least.begin(), least.end(), least.begin(),
+                   [](unsigned char letter) { return static_cast<char>(std::tolower(letter)); });
+    its.tls_1_2 = !least.ends_with("1_3");  // tls1_3 and tlsv1_3
+    return its;
+}
+
+std::map<std::string, std::string> callingEntities(std::map<std::string, std::string> properties) {
+    properties["IceSSL.VerifyPeer"] = "0";
+    properties["IceSSL.CheckCertName"] = "0";
+    return properties;
+}
+
+void onlyEntities(const std::shared_ptr<Ice::Communicator>& communicator,
+                  std::shared_ptr<const certificates::Trust> trust) {
+    const auto plugin = pluginOf(communicator);
+    if (!plugin) return;
+    plugin->setCertificateVerifier(
+        [trust = std::move(trust)](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
+            std::string chain;
+            for (const auto& one : info->certs)
+                if (one) chain += one->encode();
+            const auto verdict = trust->judgePem(chain, wallTime());
+            const auto* const its = std::get_if<certificates::Certificate>(&verdict);
+            return its != nullptr && its->unit == certificates::toString(certificates::Kind::Entity);
+        });
+}
+
 void prepareTls(Ice::InitializationData& init, const std::map<std::string, std::string>& configured) {
     const std::map<std::string, std::string> defaults = {
         {"Ice.Plugin.IceSSL", "IceSSL:createIceSSL"},
@@ -158,8 +225,7 @@ void prepareTls(Ice::InitializationData& init, const std::map<std::string, std::
 }
 
 void checkServers(const std::shared_ptr<Ice::Communicator>& communicator) {
-    const auto plugin =
-        std::dynamic_pointer_cast<IceSSL::Plugin>(communicator->getPluginManager()->getPlugin("IceSSL"));
+    const auto plugin = pluginOf(communicator);
     if (!plugin) return;
     plugin->setCertificateVerifier([](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
         if (info->incoming) return true;  // the gates say what they expect, and why not

@@ -3,10 +3,13 @@
 #include <Ice/Ice.h>
 
 #include <exception>
+#include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 
+#include "certificates/trust.hpp"
 #include "common/result.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/login.hpp"
@@ -21,6 +24,21 @@ bool isTls(const Ice::Connection& connection);
 
 /// Whether these properties say how to speak TLS: which certificate to show.
 bool speaksTls(const std::map<std::string, std::string>& properties);
+
+/// By which certificates are judged.
+certificates::WallTime wallTime();
+
+/// What these properties say, read from the files that IceSSL reads: for a connection that is not IceSSL's.
+/// Throws certificates::Unusable for files that cannot be read, and for what only IceSSL understands.
+certificates::Credentials credentialsOf(const std::map<std::string, std::string>& properties);
+
+/// For a communicator that calls entities, not servers, before it is made: IceSSL then accepts any
+/// certificate, because its checks know servers only, and onlyEntities() decides.
+std::map<std::string, std::string> callingEntities(std::map<std::string, std::string> properties);
+/// The same, afterwards: who is called must show the certificate of an entity of this CA. Whose it is, is
+/// for whoever calls (certificateOf).
+void onlyEntities(const std::shared_ptr<Ice::Communicator>& communicator,
+                  std::shared_ptr<const certificates::Trust> trust);
 
 /// For a communicator that speaks TLS, before it is made: the plug-in, our defaults for what the
 /// configuration does not say, and a logger that tells why a peer's certificate was refused, which nobody

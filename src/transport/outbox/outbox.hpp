@@ -89,13 +89,14 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     template <class Send>
     void launch(Traffic traffic, std::size_t bytes, SenderKey from, Send& send) {
         SendCallbacks back;
-        back.failed = [self = shared_from_this()](const std::exception_ptr& error) { self->fail(error); };
+        auto self = shared_from_this();
+        back.failed = [self](const std::exception_ptr& error) { self->fail(error); };
         if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
-            back.answered = [self = shared_from_this(), traffic, bytes, from] {
+            back.answered = [self = std::move(self), traffic, bytes, from] {
                 self->onSent(traffic, bytes, from);
             };
         } else {
-            back.sent = [self = shared_from_this(), traffic, bytes, from](bool) {
+            back.sent = [self = std::move(self), traffic, bytes, from](bool) {
                 self->onSent(traffic, bytes, from);
             };
         }

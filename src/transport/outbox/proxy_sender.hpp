@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include "transport/ice/convert.hpp"
+#include "transport/outbox/header_scratch.hpp"
 #include "transport/outbox/outbox.hpp"
 
 namespace axon::transport {
@@ -29,8 +30,8 @@ class ProxySender {
             traffic, kOverhead + stringBytes(head) + bytes.size(),
             [&](SendCallbacks&& back) {
                 auto& prx = proxies_.of(back);  // before `answered` is moved from
-                call(prx, toIce(head), toRange(bytes), std::move(back.answered), std::move(back.failed),
-                     std::move(back.sent));
+                call(prx, HeaderScratch::ofThread().of(head), toRange(bytes), std::move(back.answered),
+                     std::move(back.failed), std::move(back.sent));
             },
             [&] {
                 return Outbox::Parcel([proxies = proxies_, call, its_head = toIce(head),

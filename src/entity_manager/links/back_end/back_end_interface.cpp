@@ -28,6 +28,7 @@
 #include "common/descriptor.hpp"
 #include "common/frame.hpp"
 #include "common/liveness.hpp"
+#include "common/message_frame.hpp"
 #include "common/snapshot.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 
@@ -68,7 +69,7 @@ class SignalSocket {
     /// Whole and at once, or the connection ends, which stops the robot as well.
     void write(const proto::EmToEi& message) const {
         std::string frame;
-        appendFrame(frame, message.SerializeAsString());
+        appendFrameOf(frame, message);
         const auto sent = ::send(socket_.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
         if (sent != static_cast<ssize_t>(frame.size())) cut();
     }
@@ -116,8 +117,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     bool send(const proto::EmToEi& message) {
         const auto peer = peer_;
         if (!peer) return true;
-        std::string frame;
-        if (!appendFrame(frame, message.SerializeAsString())) {
+        const bool idle = peer->writing.empty();  // nothing waits
+        std::string waits;
+        auto& frame = idle ? peer->writing : waits;
+        if (!appendFrameOf(frame, message)) {
             refused({RefusalCode::TooLarge,
                      "a message to the robot application exceeds 1 MiB: send less at once",
                      {}});
@@ -127,6 +130,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         if (message.has_task() && message.task().stop_generation() > announced_.load()) {
             announce(message.task().stop_generation());
             beat();
+        }
+        if (idle) {
+            writeNow(peer);
+            return true;
         }
         const auto full = [&] {
             return peer->queued_bytes + peer->writing.size() + frame.size() > kQueueBytes ||
@@ -149,7 +156,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         peer->queued_bytes += frame.size();
         if (message.has_raw()) ++peer->queued_raw;
         peer->queued.push_back({std::move(frame), message.has_raw()});
-        if (peer->writing.empty()) writeNext(peer);
         return true;
     }
     std::uint64_t rawDropped() const { return raw_dropped_; }
@@ -195,15 +201,13 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
               data_reader(std::move(from_data)) {}
         tcp::socket signal, data;
         FrameReader signal_reader, data_reader;
-        std::array<char, 4096> signal_bytes;
-        std::array<char, 64 * 1024> data_bytes;
         struct Queued {
             std::string frame;
             bool raw;
         };
         std::deque<Queued> queued;
         std::size_t queued_bytes = 0, queued_raw = 0;
-        std::string writing;
+        std::string writing;  // while it is empty, so is the queue
         bool signal_ended = false,
              data_ended = false;  // after one of them last words on the other are awaited
         std::string parting;      // why the application ends the link, in its own words
@@ -310,7 +314,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         hello.set_manager(settings_.manager);
         hello.set_watchdog_busy_ms(static_cast<std::uint32_t>(settings_.watchdog_busy.count()));
         hello.set_watchdog_idle_ms(static_cast<std::uint32_t>(settings_.watchdog_idle.count()));
-        appendFrame(handshake->hello, message.SerializeAsString());
+        appendFrameOf(handshake->hello, message);
         handshakes_.insert(handshake);
         handshake->nonce = nonce;
         handshake->deadline.expires_after(kHelloTime);
@@ -442,20 +446,21 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         signal_.store(duplicate);
         onBeatTimer();
         const auto peer = peer_;
+        events_.onLinkUp();
+        // What came in one piece with the answers. Then the reads, which put bytes into the same readers.
+        if (!deliver(peer, peer->signal_reader, true) || !deliver(peer, peer->data_reader, false)) return;
         readSignal(peer);
         readData(peer);
-        events_.onLinkUp();
-        // What came in one piece with the answers.
-        if (deliver(peer, peer->signal_reader, true)) deliver(peer, peer->data_reader, false);
     }
 
     void readSignal(const std::shared_ptr<Peer>& peer) {
+        const auto room = peer->signal_reader.room();
         peer->signal.async_read_some(
-            asio::buffer(peer->signal_bytes),
+            asio::buffer(room.data(), room.size()),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
                 if (error) return self->ended(peer, peer->signal_ended);
-                peer->signal_reader.feed({peer->signal_bytes.data(), count});
+                peer->signal_reader.filled(count);
                 if (self->deliver(peer, peer->signal_reader, true)) self->readSignal(peer);
             });
     }
@@ -481,22 +486,24 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void readData(const std::shared_ptr<Peer>& peer) {
+        const auto room = peer->data_reader.room();
         peer->data.async_read_some(
-            asio::buffer(peer->data_bytes),
+            asio::buffer(room.data(), room.size()),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
                 if (error) return self->ended(peer, peer->data_ended);
-                peer->data_reader.feed({peer->data_bytes.data(), count});
+                peer->data_reader.filled(count);
                 if (self->deliver(peer, peer->data_reader, false)) self->readData(peer);
             });
     }
 
     /// False when the link has ended meanwhile.
     bool deliver(const std::shared_ptr<Peer>& peer, FrameReader& reader, bool signal) {
-        std::string payload;
-        while (peer_ == peer && reader.next(payload)) {
-            proto::EiToEm message;
-            const bool parsed = message.ParseFromString(payload);
+        proto::EiToEm message;
+        while (peer_ == peer) {
+            const auto payload = reader.nextView();
+            if (!payload) break;
+            const bool parsed = message.ParseFromArray(payload->data(), static_cast<int>(payload->size()));
             const bool is_signal = message.has_beat() || message.has_stop_done() || message.has_end();
             if (!parsed || message.has_welcome() ||
                 (is_signal != signal && message.body_case() != proto::EiToEm::BODY_NOT_SET)) {
@@ -536,17 +543,29 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 auto& next = peer->queued.front();
                 peer->queued_bytes -= next.frame.size();
                 if (next.raw) --peer->queued_raw;
-                peer->writing += next.frame;
+                if (peer->writing.empty()) {
+                    peer->writing.swap(next.frame);
+                } else {
+                    peer->writing += next.frame;
+                }
                 peer->queued.pop_front();
             } while (!peer->queued.empty() &&
                      peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
-            // The end of an asynchronous write would be a turn of the strand, on another thread.
-            const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
-                                     MSG_DONTWAIT | MSG_NOSIGNAL);
-            if (sent != static_cast<ssize_t>(peer->writing.size()))
-                return writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
-            peer->writing.clear();
+            if (!writeNow(peer)) return;
         }
+    }
+
+    /// What is being written, as far as the socket takes it at once; whether that is all. The end of an
+    /// asynchronous write would be a turn of the strand, on another thread.
+    bool writeNow(const std::shared_ptr<Peer>& peer) {
+        const auto sent = ::send(peer->data.native_handle(), peer->writing.data(), peer->writing.size(),
+                                 MSG_DONTWAIT | MSG_NOSIGNAL);
+        if (sent == static_cast<ssize_t>(peer->writing.size())) {
+            peer->writing.clear();
+            return true;
+        }
+        writeRest(peer, sent < 0 ? 0 : static_cast<std::size_t>(sent));
+        return false;
     }
 
     /// When the socket takes it. A failure is told here, too: never from within send().

@@ -3,6 +3,7 @@
 
 #include <pthread.h>
 #include <spdlog/spdlog.h>
+#include <sys/socket.h>
 
 #include <asio/bind_executor.hpp>
 #include <asio/buffer.hpp>
@@ -10,6 +11,7 @@
 #include <asio/io_context.hpp>
 #include <asio/ip/tcp.hpp>
 #include <asio/post.hpp>
+#include <asio/thread_pool.hpp>
 #include <map>
 #include <optional>
 #include <thread>
@@ -19,10 +21,13 @@
 
 #include "common/frame.hpp"
 #include "common/ids.hpp"
+#include "common/rate_limit.hpp"
+#include "direct/lane/channel.hpp"
 #include "direct/lane/frames.hpp"
 #include "direct/lane/lane_outbox.hpp"
 #include "direct/lane/lane_socket.hpp"
 #include "direct/lane/opening.hpp"
+#include "direct/lane/spin.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 #include "transport/ice/connection_limits_core.hpp"
 
@@ -31,6 +36,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using direct::Keeping;
+using direct::lane::Channel;
 using direct::lane::LaneOutbox;
 using direct::lane::ManagerOpening;
 using tcp = asio::ip::tcp;
@@ -38,18 +44,28 @@ using transport::ConnectionLimitsCore;
 
 constexpr int kFramesPerTurn = 128;  // then the strand may do something else
 constexpr int kAcceptsPerLook = 64;
+constexpr int kTlsAcceptsPerLook = 16;  // each costs a handshake
 constexpr Duration kLooks = 100ms;
 constexpr Duration kTold = 11s;  // after the last connection was closed: the log hears of it within 10 s
 constexpr transport::ConnectionBounds kBounds{
     .strangers_of_one_address = 64, .strangers = 256, .to_log_in = 10s, .silence = 60s};
+constexpr int kTlsRefusalsPerSecond = 10;  // that the log tells
+constexpr std::size_t kStrangerBytes = 64 * 1024;
 constexpr const char* kHolderClosed = "its holder's end is closed";
 
 /// The thread that reads and accepts for one door, and waits until something can be written. It takes the
 /// strand itself when that is free, as the threads of Ice do. It is an ordinary one: the strand's own thread
-/// runs with priority, because it beats, and a holder who floods must not have that.
+/// runs with priority, because it beats, and a holder who floods must not have that. Nor must a thread that
+/// spins.
 class Reader {
   public:
-    explicit Reader(asio::any_io_executor its_strand) : strand(std::move(its_strand)) {}
+    /// `spin`: as Spinner's.
+    Reader(asio::any_io_executor its_strand, Duration spin, bool tls)
+        : strand(std::move(its_strand)), spin_(spin) {
+        if (!tls) return;
+        handshakes_.emplace(1U);
+        asio::post(*handshakes_, [] { ::pthread_setname_np(::pthread_self(), "axon-handshake"); });
+    }
 
     /// What runs the connections' operations. Held by whoever has some.
     asio::io_context io{1};
@@ -58,11 +74,12 @@ class Reader {
     void start() {
         thread_ = std::thread([this] {
             ::pthread_setname_np(::pthread_self(), "axon-direct");
-            io.run();
+            run();
         });
     }
     /// Once every connection has ended, so that nothing more comes.
     void join() {
+        if (handshakes_) handshakes_->join();  // which hands over to the other thread
         work_.reset();
         if (thread_.joinable()) thread_.join();
     }
@@ -71,19 +88,40 @@ class Reader {
     auto then(Handler handler) const {
         return asio::bind_executor(strand, std::move(handler));
     }
+    /// On the thread that opens TLS.
+    template <class Handler>
+    auto apart(Handler handler) {
+        return asio::bind_executor(handshakes_->get_executor(), std::move(handler));
+    }
     template <class Handler>
     void later(Handler handler) {
         asio::post(io, then(std::move(handler)));
     }
 
   private:
+    void run() {
+        direct::lane::Spinner spinner(spin_);
+        if (!spinner.spins()) {
+            io.run();
+            return;
+        }
+        for (;;) {
+            if (spinner.spin([this] { return io.poll() > 0; })) continue;
+            if (io.run_one() == 0) return;
+            spinner.came();
+        }
+    }
+
+    const Duration spin_;
     asio::executor_work_guard<asio::io_context::executor_type> work_{io.get_executor()};
     std::thread thread_;
+    std::optional<asio::thread_pool> handshakes_;  // with TLS
 };
 
 }  // namespace
 
-/// One connection: first a stranger's, and then the data lane of a path.
+/// One connection: first a stranger's, and then the data lane of a path. With TLS the handshake comes before
+/// that, on a thread of its own; until it is over, nothing else touches socket, channel and frames.
 ///
 ///     Awaited ── a claim ──► Judged ── admit() ──► Open ──► over
 ///        └───────────────────── over ◄───┘ refuse()
@@ -92,12 +130,15 @@ class DataDoor::Connection final : public DirectLane,
                                    public std::enable_shared_from_this<Connection> {
   public:
     Connection(std::shared_ptr<Reader> reader, std::weak_ptr<Connections> home, std::uint64_t id,
-               tcp::socket socket, const Id128& nonce)
+               tcp::socket socket, const Id128& nonce, const direct::lane::Tls* tls)
         : id(id),
           thread_(std::move(reader)),
           home_(std::move(home)),
           socket_(std::move(socket)),
-          opening_(nonce) {
+          channel_(tls != nullptr ? tls->fromCaller(*this)
+                                  : std::make_unique<direct::lane::PlainChannel>(*this)),
+          opening_(nonce),
+          handshaking_(tls != nullptr) {
         asio::error_code ignored;
         socket_.non_blocking(true, ignored);
         const auto from = socket_.remote_endpoint(ignored);
@@ -107,7 +148,8 @@ class DataDoor::Connection final : public DirectLane,
     }
 
     void start() {
-        if (writeWhole(opening_.greeting())) read();
+        if (handshaking_) return shakeHands();
+        if (writeWhole(opening_.greeting()) && deliver()) read();
     }
     void end(const std::string& why);
     /// There is room for more.
@@ -134,7 +176,7 @@ class DataDoor::Connection final : public DirectLane,
     void close(const std::string& why) override { end(why); }
     std::string peer() const override { return peer_; }
 
-    // Wire.
+    // Wire: of the socket.
     std::optional<std::size_t> write(std::span<const std::string_view> pieces) override {
         return direct::lane::writeTo(socket_.native_handle(), pieces);
     }
@@ -146,22 +188,38 @@ class DataDoor::Connection final : public DirectLane,
     /// Of the opening: a new connection has room for it.
     bool writeWhole(const std::string& frame) {
         const std::string_view piece(frame);
-        if (over_ || write({&piece, 1}) == frame.size()) return !over_;
+        if (over_ || channel_->write({&piece, 1}) == frame.size()) return !over_;
         end(kHolderClosed);
         return false;
     }
+    /// At first on the strand, then on the thread of handshakes.
+    void shakeHands() {
+        const auto room = channel_->room(reader_);
+        socket_.async_read_some(
+            asio::buffer(room.data(), room.size()),
+            thread_->apart([self = shared_from_this()](const asio::error_code& error, std::size_t count) {
+                if (!error && self->channel_->filled(self->reader_, count) == Channel::State::Opening)
+                    return self->shakeHands();
+                self->thread_->later([self, lost = static_cast<bool>(error)] { self->shaken(lost); });
+            }));
+    }
+    void shaken(bool lost);
     void read() {
         if (over_ || reading_) return;
         reading_ = true;
-        const auto room = reader_.room();
+        const auto room = channel_->room(reader_);
         socket_.async_read_some(
             asio::buffer(room.data(), room.size()),
             thread_->then([self = shared_from_this()](const asio::error_code& error, std::size_t count) {
                 self->reading_ = false;
                 if (self->over_) return;
                 if (error) return self->end(kHolderClosed);
-                self->reader_.filled(count);
-                if (self->deliver()) self->read();
+                // Over TLS that need not be a frame.
+                if (self->isStranger() && (self->heard_ += count) > kStrangerBytes)
+                    return self->end("it makes no claim");
+                const bool open = self->channel_->filled(self->reader_, count) != Channel::State::Over;
+                if (self->deliver() && open) return self->read();
+                if (!open) self->end(self->channel_->why());
             }));
     }
     /// What has been read. False when nothing more is to be read for now. Nothing may escape: the thread may
@@ -194,18 +252,21 @@ class DataDoor::Connection final : public DirectLane,
     const std::shared_ptr<Reader> thread_;  // before the socket, which ends first
     const std::weak_ptr<Connections> home_;
     tcp::socket socket_;
+    const std::unique_ptr<Channel> channel_;
     std::string peer_;
     ManagerOpening opening_;
     FrameReader reader_{direct::lane::kClaimMax};
-    LaneOutbox outbox_{transport::OutboxLimits{}, *this};
+    LaneOutbox outbox_{transport::OutboxLimits{}, *channel_};
     Id128 path_;  // that was claimed
     Sender sender_;
     // The message that is handled; sender and entity stay in the head.
     Header head_;
     std::string bytes_;
     std::optional<Keeping> refused_;  // it is still there: it found no room
+    std::size_t heard_ = 0;           // bytes, of a stranger
     bool stalled_ = false;            // until there is some
     bool reading_ = false, awaiting_writable_ = false;
+    bool handshaking_;
     bool over_ = false;
 };
 
@@ -213,11 +274,13 @@ class DataDoor::Connection final : public DirectLane,
 class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
   public:
     Connections(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
-                std::string its_entity, const Clock& clock, std::weak_ptr<DirectEvents> its_events)
+                std::string its_entity, Duration spin, const Clock& clock,
+                std::weak_ptr<DirectEvents> its_events, std::shared_ptr<const direct::lane::Tls> tls)
         : entity(std::move(its_entity)),
           events(std::move(its_events)),
           clock_(clock),
-          thread_(std::make_shared<Reader>(strand)),
+          tls_(std::move(tls)),
+          thread_(std::make_shared<Reader>(strand, spin, tls_ != nullptr)),
           acceptor_(thread_->io, tcp::endpoint(asio::ip::make_address(address), port)),
           timer_(strand, clock) {}
 
@@ -242,6 +305,10 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
         for (const auto& connection : all()) connection->goOn();
     }
     void forget(std::uint64_t id) { connections_.erase(id); }
+    void noteRefused(const std::string& peer, const std::string& why) {
+        if (refusals_.admit(clock_.now()))
+            spdlog::warn("direct path: TLS: a connection from {} was refused: {}", peer, why);
+    }
     std::uint16_t port() const { return acceptor_.local_endpoint().port(); }
 
     const std::string entity;
@@ -263,13 +330,13 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
                 // Where it failed there are no descriptors; those that are refused until the next look are
                 // tried again by the kernel of whoever calls.
                 if (!error) self->take(std::move(socket));
-                if (error || ++self->accepted_ >= kAcceptsPerLook) return self->lookIn(kLooks);
+                if (error || ++self->accepted_ >= self->accepts_per_look_) return self->lookIn(kLooks);
                 self->accept();
             }));
     }
     void take(tcp::socket socket) {
-        const auto connection = std::make_shared<Connection>(thread_, weak_from_this(), ++last_,
-                                                             std::move(socket), Id128::random(random_));
+        const auto connection = std::make_shared<Connection>(
+            thread_, weak_from_this(), ++last_, std::move(socket), Id128::random(random_), tls_.get());
         connections_.emplace(connection->id, connection);
         connection->start();
         look();
@@ -302,12 +369,15 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
     }
 
     const Clock& clock_;
+    const std::shared_ptr<const direct::lane::Tls> tls_;  // null: plain
     SystemRandom random_;
     const std::shared_ptr<Reader> thread_;  // before the acceptor, which ends first
     tcp::acceptor acceptor_;
     DueTimer timer_;
     ConnectionLimitsCore limits_{kBounds};
     std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;
+    const int accepts_per_look_ = tls_ ? kTlsAcceptsPerLook : kAcceptsPerLook;
+    RateLimit refusals_{kTlsRefusalsPerSecond};
     std::uint64_t last_ = 0;
     int accepted_ = 0;  // since the last look
     TimePoint look_until_{};
@@ -318,12 +388,32 @@ void DataDoor::Connection::end(const std::string& why) {
     if (std::exchange(over_, true)) return;
     outbox_.close();
     asio::error_code ignored;
-    socket_.close(ignored);
+    if (handshaking_) {
+        ::shutdown(socket_.native_handle(),
+                   SHUT_RDWR);  // the other thread hears that, and shaken() closes it
+    } else {
+        socket_.close(ignored);
+    }
     const auto home = home_.lock();
     if (!home) return;
     home->forget(id);
     if (isStranger()) return;
     if (const auto events = home->events.lock()) events->directClosed(path_, why);
+}
+
+void DataDoor::Connection::shaken(bool lost) {
+    handshaking_ = false;
+    asio::error_code ignored;
+    if (over_) {
+        socket_.close(ignored);
+    } else if (lost) {
+        end(kHolderClosed);
+    } else if (const auto why = channel_->why(); !why.empty()) {
+        if (const auto home = home_.lock()) home->noteRefused(peer_, why);
+        end(why);
+    } else {
+        start();
+    }
 }
 
 bool DataDoor::Connection::deliver() noexcept {
@@ -398,9 +488,10 @@ std::shared_ptr<DirectLane> DataDoor::Connection::admit(const Sender& sender, co
 }
 
 DataDoor::DataDoor(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
-                   std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
-    : connections_(
-          std::make_shared<Connections>(strand, address, port, std::move(entity), clock, std::move(events))) {
+                   std::string entity, Duration spin, const Clock& clock, std::weak_ptr<DirectEvents> events,
+                   std::shared_ptr<const direct::lane::Tls> tls)
+    : connections_(std::make_shared<Connections>(strand, address, port, std::move(entity), spin, clock,
+                                                 std::move(events), std::move(tls))) {
     connections_->start();
 }
 

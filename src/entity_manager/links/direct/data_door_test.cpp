@@ -3,6 +3,7 @@
 #include "entity_manager/links/direct/data_door.hpp"
 
 #include <gtest/gtest.h>
+#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <asio/post.hpp>
@@ -13,8 +14,12 @@
 #include <mutex>
 #include <vector>
 
+#include "support/certificate_folder.hpp"
 #include "support/lane_stranger.hpp"
+#include "support/log_lines.hpp"
 #include "support/loopback.hpp"
+#include "support/moved_clock.hpp"
+#include "support/tcp_silence.hpp"
 
 namespace axon::entity_manager {
 namespace {
@@ -25,19 +30,6 @@ using test::LaneStranger;
 using test::waitUntil;
 
 const std::string kKey = "0123456789abcdef";
-
-/// Stands still until it is moved, and lets nobody who waits for it sleep for long.
-class Moved final : public Clock {
-  public:
-    TimePoint now() const override { return TimePoint{1000s} + Duration{by_.load()}; }
-    Duration realTimeUntil(TimePoint deadline) const override {
-        return std::min<Duration>(deadline - now(), 1ms);
-    }
-    void advance(Duration by) { by_ += by.count(); }
-
-  private:
-    std::atomic<Duration::rep> by_{0};
-};
 
 /// Admits whoever has the key; takes messages while there is room.
 struct Events final : DirectEvents {
@@ -64,6 +56,7 @@ struct Events final : DirectEvents {
         EXPECT_EQ(head.entity, "the entity");
         came.push_back(head.sequence);
         data += keeping == Keeping::Droppable ? 1 : 0;
+        if (echoes) lane->send(keeping, head, std::make_shared<const std::string>(bytes));
         if (came.size() % 3 == 0) {  // who holds a message back takes it
             const auto taken = std::move(head);
             const auto taken_bytes = std::move(bytes);
@@ -93,13 +86,33 @@ struct Events final : DirectEvents {
     std::vector<std::string> closed;
     std::size_t room = 1'000'000;
     int openings = 0, data = 0;
-    bool answers = true;
+    bool answers = true, echoes = false;
     DirectOpening pending;
     std::shared_ptr<DirectLane> lane;
     std::atomic<int> turns{0};
 };
 
-class DataDoorTest : public ::testing::Test {
+using certificates::Kind;
+using direct::lane::Tls;
+
+const test::CertificateFolder kLaboratory;
+const std::shared_ptr<const Tls> kEntity =
+    Tls::of(kLaboratory.credentials(Kind::Entity, "robot"), test::CertificateFolder::now);
+const std::shared_ptr<const Tls> kClient =
+    Tls::of(kLaboratory.credentials(Kind::Client, "ann"), test::CertificateFolder::now);
+
+enum class Speaks { Plain, Tls };
+/// What is spoken, and whether the door's thread spins.
+struct Kinds {
+    Speaks speaks;
+    std::chrono::microseconds spin;
+};
+std::string nameOf(const testing::TestParamInfo<Kinds>& one) {
+    return std::string(one.param.speaks == Speaks::Tls ? "Tls" : "Plain") +
+           (one.param.spin == 0us ? "Sleeping" : "Spinning");
+}
+
+class DataDoorTest : public ::testing::TestWithParam<Kinds> {
   protected:
     ~DataDoorTest() override {
         onStrand([&] { door.shut(); });
@@ -115,7 +128,8 @@ class DataDoorTest : public ::testing::Test {
         done.get_future().wait();
     }
     std::unique_ptr<LaneStranger> knock() {
-        auto stranger = std::make_unique<LaneStranger>(endpoint);
+        auto stranger = std::make_unique<LaneStranger>(endpoint, tls() ? kClient.get() : nullptr, "robot");
+        EXPECT_TRUE(stranger->channelOpen());
         stranger->claim = {Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
         return stranger;
     }
@@ -139,16 +153,19 @@ class DataDoorTest : public ::testing::Test {
         return true;
     }
 
+    static bool tls() { return GetParam().speaks == Speaks::Tls; }
+
     SeededRandom random{1};
-    Moved clock;
+    test::MovedClock clock;
     asio::thread_pool executor{1};
     asio::strand<asio::any_io_executor> strand{executor.get_executor()};
     std::shared_ptr<Events> events = std::make_shared<Events>();
-    DataDoor door{strand, "127.0.0.1", 0, "the entity", clock, events};
+    DataDoor door{strand,          "127.0.0.1", 0,      "the entity",
+                  GetParam().spin, clock,       events, tls() ? kEntity : nullptr};
     const std::string endpoint = "127.0.0.1:" + std::to_string(door.port());
 };
 
-TEST_F(DataDoorTest, MessagesOfAHolderComeInOrderAndThoseToItGoOut) {
+TEST_P(DataDoorTest, MessagesOfAHolderComeInOrderAndThoseToItGoOut) {
     const auto its = holder();
     EXPECT_TRUE(direct::proves(its->proof, its->claim, direct::Prover::EntityManager, kKey));
     for (std::int64_t i = 1; i <= 1000; ++i)
@@ -167,7 +184,7 @@ TEST_F(DataDoorTest, MessagesOfAHolderComeInOrderAndThoseToItGoOut) {
     EXPECT_EQ(direct::lane::messageIn(frame).value().content, "to the client");
 }
 
-TEST_F(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
+TEST_P(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
     events->room = 100;
     const auto its = holder();
     for (std::int64_t i = 1; i <= 500; ++i) send(*its, i);
@@ -184,7 +201,41 @@ TEST_F(DataDoorTest, WhoFindsNoRoomIsNotReadUntilThereIsSome) {
     EXPECT_TRUE(inOrder());
 }
 
-TEST_F(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {
+TEST_P(DataDoorTest, WhoFindsNoRoomIsDisconnectedWhenTheDoorIsShutAndNothingOfItComesAnyMore) {
+    events->room = 100;
+    const auto its = holder();
+    for (std::int64_t i = 1; i <= 500; ++i) send(*its, i);
+    ASSERT_TRUE(waitUntil([&] { return events->count() == 100; }));
+    onStrand([&] {
+        events->room = 1'000'000;
+        door.shut();
+        door.roomAgain();  // it is late
+    });
+    EXPECT_TRUE(its->awaitClosed());
+    onStrand([] {});
+    EXPECT_EQ(events->count(), 100U);
+    EXPECT_EQ(events->ends(), 1U);
+}
+
+TEST_P(DataDoorTest, AHolderWhoHearsNothingIsGivenUpByTheKernel) {
+    const auto its = holder();
+    const int here = test::socketBetween(endpoint, its->address());
+    ASSERT_GE(here, 0);
+    unsigned patience = 0;
+    socklen_t size = sizeof patience;
+    ::getsockopt(here, IPPROTO_TCP, TCP_USER_TIMEOUT, &patience, &size);
+    EXPECT_EQ(patience, 30'000U);
+    ASSERT_TRUE(test::losePatienceAfter(here, 100ms));
+    ASSERT_TRUE(its->fallSilent());
+    onStrand([&] {
+        Header head;
+        head.sequence = 1;
+        events->lane->send(Keeping::Kept, head, std::make_shared<const std::string>("to nobody"));
+    });
+    ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; }));
+}
+
+TEST_P(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {
     events->answers = false;
     const auto its = knock();
     its->awaitNonce();
@@ -202,7 +253,7 @@ TEST_F(DataDoorTest, WhatIsSaidBeforeTheClaimIsJudgedIsReadAfterIt) {
     ASSERT_TRUE(waitUntil([&] { return events->count() == 3; }));
 }
 
-TEST_F(DataDoorTest, WhoHasGoneWhileTheClaimWasJudgedHasNoPath) {
+TEST_P(DataDoorTest, WhoHasGoneWhileTheClaimWasJudgedHasNoPath) {
     events->answers = false;
     {
         const auto its = knock();
@@ -217,7 +268,7 @@ TEST_F(DataDoorTest, WhoHasGoneWhileTheClaimWasJudgedHasNoPath) {
     ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; })) << "and whoever thinks so is told";
 }
 
-TEST_F(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
+TEST_P(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
     using direct::lane::frameOf;
     using direct::lane::Kind;
     for (const auto& said :
@@ -237,7 +288,7 @@ TEST_F(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
     EXPECT_EQ(events->ends(), 0U) << "no path has ended";
 }
 
-TEST_F(DataDoorTest, AClaimMayComeByteByByte) {
+TEST_P(DataDoorTest, AClaimMayComeByteByByte) {
     const auto its = knock();
     its->awaitNonce();
     for (const char byte : its->claimFrame(direct::proofOf(its->claim, direct::Prover::Client, kKey)))
@@ -245,10 +296,11 @@ TEST_F(DataDoorTest, AClaimMayComeByteByByte) {
     EXPECT_EQ(its->awaitAnswer(), RefusalCode::Ok);
 }
 
-TEST_F(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
+TEST_P(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
     const auto its = holder();
     std::vector<std::unique_ptr<LaneStranger>> silent;
-    for (int i = 0; i < 70; ++i) silent.push_back(knock());
+    // With TLS, in the middle of its handshake.
+    for (int i = 0; i < 70; ++i) silent.push_back(std::make_unique<LaneStranger>(endpoint));
     const auto began = clock.now();
     ASSERT_TRUE(waitUntil([&] {
         clock.advance(10ms);  // or no more of them are taken
@@ -265,7 +317,7 @@ TEST_F(DataDoorTest, StrangersAreFewAndHaveTenSeconds) {
     EXPECT_TRUE(waitUntil([&] { return events->count() == 1; })) << "who has a path is not meant";
 }
 
-TEST_F(DataDoorTest, ImproperFramesEndThePath) {
+TEST_P(DataDoorTest, ImproperFramesEndThePath) {
     const std::string too_long("\x7f\0\0\0\5", 5);
     std::size_t ended = 0;
     for (const auto& wrong : {direct::lane::frameOf(direct::lane::Kind::Claim, std::string(76, 'c')),
@@ -280,7 +332,7 @@ TEST_F(DataDoorTest, ImproperFramesEndThePath) {
     }
 }
 
-TEST_F(DataDoorTest, WhoDoesNotReadIsDisconnectedAndWhoReadsLateGetsEverything) {
+TEST_P(DataDoorTest, WhoDoesNotReadIsDisconnectedAndWhoReadsLateGetsEverything) {
     const auto content = std::make_shared<const std::string>(1'000'000, 'x');
     const auto flood = [&](int messages) {
         onStrand([&] {
@@ -302,7 +354,7 @@ TEST_F(DataDoorTest, WhoDoesNotReadIsDisconnectedAndWhoReadsLateGetsEverything) 
     EXPECT_EQ(events->closed.back(), "it does not read its messages");
 }
 
-TEST_F(DataDoorTest, AfterItIsShutNobodyIsThere) {
+TEST_P(DataDoorTest, AfterItIsShutNobodyIsThere) {
     const auto its = holder();
     const auto stranger = knock();
     stranger->awaitNonce();
@@ -310,6 +362,75 @@ TEST_F(DataDoorTest, AfterItIsShutNobodyIsThere) {
     EXPECT_TRUE(its->awaitClosed());
     EXPECT_TRUE(stranger->awaitClosed());
     EXPECT_EQ(events->ends(), 1U);
+}
+
+TEST_P(DataDoorTest, MessagesInQuickSuccessionAreAnsweredOneByOne) {
+    const auto its = holder();
+    {
+        const std::lock_guard lock(events->mutex);
+        events->echoes = true;
+    }
+    for (std::int64_t i = 1; i <= 2000; ++i) {
+        send(*its, i);
+        ASSERT_EQ(direct::lane::messageIn(its->awaitFrame().value()).value().sequence, i);
+    }
+    EXPECT_TRUE(inOrder());
+}
+
+INSTANTIATE_TEST_SUITE_P(, DataDoorTest,
+                         testing::Values(Kinds{Speaks::Plain, 0us}, Kinds{Speaks::Plain, 50us},
+                                         Kinds{Speaks::Tls, 0us}),
+                         nameOf);
+
+class TlsDoorTest : public DataDoorTest {};
+INSTANTIATE_TEST_SUITE_P(, TlsDoorTest, testing::Values(Kinds{Speaks::Tls, 0us}), nameOf);
+
+TEST_P(TlsDoorTest, ACertificateOfAnotherCaOrNoneIsTurnedAwayAndTheLogSaysWhy) {
+    const auto log = std::make_shared<test::LogLines>();
+    const auto before = spdlog::default_logger();
+    spdlog::set_default_logger(std::make_shared<spdlog::logger>("", log));
+    const test::CertificateFolder others;
+    auto stranger = others.credentials(Kind::Client, "ann");
+    stranger.authorities = kLaboratory.credentials(Kind::Client, "ann").authorities;
+    certificates::Credentials none;
+    none.authorities = stranger.authorities;
+    for (const auto& [its, why] : {std::pair{stranger, "of another CA"}, std::pair{none, "shown"}}) {
+        const auto tls = Tls::of(its, test::CertificateFolder::now);
+        LaneStranger knocks(endpoint, tls.get(), "robot");
+        EXPECT_TRUE(knocks.awaitClosed());
+        EXPECT_TRUE(waitUntil([&, expected = std::string(why)] { return log->has(expected); })) << log->all();
+    }
+    spdlog::set_default_logger(before);
+    EXPECT_EQ(events->openings, 0);
+}
+
+TEST_P(TlsDoorTest, WhoeverDoesNotSpeakTlsHearsNothingOfTheOpening) {
+    LaneStranger plain(endpoint);
+    plain.say(direct::lane::frameOf(direct::lane::Kind::Claim, std::string(92, 'c')));
+    EXPECT_FALSE(plain.awaitFrame()) << "no nonce";
+    EXPECT_EQ(events->openings, 0);
+}
+
+TEST_P(TlsDoorTest, HandshakesThatAreNotFinishedHoldUpNoHolder) {
+    const auto its = holder();
+    std::vector<std::unique_ptr<LaneStranger>> half;
+    for (std::int64_t i = 1; i <= 40; ++i) {
+        half.push_back(std::make_unique<LaneStranger>(endpoint));
+        half.back()->say(std::string("\x16\x03\x01\x02\0", 5));  // of a record that does not follow
+        send(*its, i);
+        ASSERT_TRUE(waitUntil([&] { return events->count() == static_cast<std::size_t>(i); }));
+    }
+    EXPECT_TRUE(inOrder());
+    onStrand([&] { door.shut(); });
+    for (const auto& one : half) EXPECT_TRUE(one->awaitClosed());
+}
+
+TEST_P(TlsDoorTest, ARecordThatWasNotSealedByTheHolderEndsThePath) {
+    const auto its = holder();
+    its->sayInClear(std::string("\x17\x03\x03\0\x20", 5) + std::string(32, 'x'));
+    EXPECT_TRUE(its->awaitClosed());
+    ASSERT_TRUE(waitUntil([&] { return events->ends() == 1; }));
+    EXPECT_EQ(events->count(), 0U);
 }
 
 }  // namespace

@@ -17,6 +17,7 @@
 #include "transport/ice/direct_head.hpp"
 #include "transport/ice/lane_socket.hpp"
 #include "transport/ice/peer_connection.hpp"
+#include "transport/ice/tls.hpp"
 #include "transport/outbox/outbox.hpp"
 #include "transport/sessions/session_peers.hpp"
 
@@ -291,11 +292,12 @@ auto listenAtOneOf(const std::string& address, DirectPorts ports, Listen listen)
 }  // namespace
 
 DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice,
-                       const std::string& address, DirectPorts ports, const std::string& entity,
-                       const Clock& clock, const std::weak_ptr<DirectEvents>& events)
+                       const std::string& address, const DirectSettings& settings, const std::string& entity,
+                       const Clock& clock, const std::weak_ptr<DirectEvents>& events,
+                       const std::shared_ptr<const direct::lane::Tls>& tls)
     : signal_door_(std::make_unique<SignalDoor>()) {
-    data_door_ = listenAtOneOf(address, ports, [&](std::uint16_t port) {
-        return std::make_unique<DataDoor>(strand, address, port, entity, clock, events);
+    data_door_ = listenAtOneOf(address, settings.ports, [&](std::uint16_t port) {
+        return std::make_unique<DataDoor>(strand, address, port, entity, settings.spin, clock, events, tls);
     });
     const auto taken = data_door_->port();
     data_ = address + ":" + std::to_string(taken);
@@ -304,10 +306,11 @@ DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators&
         // another address.
         const auto name = "Direct-" + Ice::generateUUID();
         auto& adapter = signal_door_->adapter;
-        adapter = listenAtOneOf(address, ports, [&](std::uint16_t port) {
+        adapter = listenAtOneOf(address, settings.ports, [&](std::uint16_t port) {
             if (port == taken) throw std::runtime_error("that of data");
-            return transport::listen(*ice.signal(), name, "tcp -h " + address + " -p " + std::to_string(port),
-                                     0, transport::Idle::Watched);
+            return transport::listen(*ice.direct(tls != nullptr), name,
+                                     transport::Endpoint{address, port, tls != nullptr}.text(), 0,
+                                     transport::Idle::Watched);
         });
         const auto gate = std::make_shared<GateServant>(entity, clock, events);
         adapter->add(gate, Ice::stringToIdentity(kGate));
@@ -334,22 +337,34 @@ void DirectDoor::shut() {
 
 DirectDoors::DirectDoors(asio::any_io_executor strand, DirectSettings settings,
                          std::shared_ptr<ServerCommunicators> ice, std::string entity, const Clock& clock,
-                         std::weak_ptr<DirectEvents> events)
+                         std::weak_ptr<DirectEvents> events, bool tls)
     : strand_(std::move(strand)),
       settings_(std::move(settings)),
       ice_(std::move(ice)),
       entity_(std::move(entity)),
       clock_(clock),
-      events_(std::move(events)) {}
+      events_(std::move(events)),
+      speaks_tls_(tls) {
+    if (!tls) return;
+    // Here, because it takes too long for the strand.
+    try {
+        tls_ = direct::lane::Tls::of(transport::credentialsOf(ice_->properties()), transport::wallTime);
+        static_cast<void>(ice_->direct(true));
+    } catch (const certificates::Unusable& unusable) {
+        spdlog::warn("clients are not offered a direct path: {}; fix: {}", unusable.what(), unusable.fix());
+    } catch (const std::exception& error) {
+        spdlog::warn("clients are not offered a direct path: {}", error.what());
+    }
+}
 
 std::pair<std::string, std::string> DirectDoors::listen(const std::string& way_to_server) {
     const auto& address = settings_.address.empty() ? way_to_server : settings_.address;
-    if (address.empty()) return {};
+    if (address.empty() || (speaks_tls_ && !tls_)) return {};
     if (listens_at_ != address) {
         shut();
         try {
-            doors_.push_back(std::make_unique<DirectDoor>(strand_, *ice_, address, settings_.ports, entity_,
-                                                          clock_, events_));
+            doors_.push_back(std::make_unique<DirectDoor>(strand_, *ice_, address, settings_, entity_, clock_,
+                                                          events_, tls_));
         } catch (const std::runtime_error& error) {
             spdlog::warn(
                 "clients are not offered a direct path: {} (expected an address of this machine and two free "
@@ -360,9 +375,10 @@ std::pair<std::string, std::string> DirectDoors::listen(const std::string& way_t
         listens_at_ = address;
     }
     const auto& door = *doors_.back();
-    if (settings_.named)
-        return {settings_.named(door.dataEndpoint()), settings_.named(door.signalEndpoint())};
-    return {door.dataEndpoint(), door.signalEndpoint()};
+    const auto told = [this](const std::string& endpoint) {
+        return (speaks_tls_ ? "ssl://" : "") + (settings_.named ? settings_.named(endpoint) : endpoint);
+    };
+    return {told(door.dataEndpoint()), told(door.signalEndpoint())};
 }
 
 void DirectDoors::shut() {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/clock.hpp"
+#include "direct/lane/spin.hpp"
 #include "entity_manager/links/direct/data_door.hpp"
 #include "entity_manager/ports/direct_lane.hpp"
 
@@ -26,6 +27,7 @@ struct DirectSettings {
     bool offered = false;
     std::string address;  ///< to listen at; empty: the one that leads to the server
     DirectPorts ports;
+    Duration spin{};  ///< of the thread that reads data, at most kSpinMost (Axon.Direct.Spin); 0: none
     /// What clients are told to call instead of "host:port" where it listens: a test puts a relay there.
     /// Empty: as it listens.
     std::function<std::string(const std::string& endpoint)> named = {};
@@ -33,6 +35,8 @@ struct DirectSettings {
 
 /// Where clients open direct paths: a port for each lane (docs/reference/direct.md), that of data by DataDoor
 /// and that of signals over Ice. The only file of the direct path at the Entity Manager that knows Ice.
+///
+/// Both ports speak TLS, or neither does.
 ///
 /// Where in the flow: beside EntityCommunicator. Threads: the strand's alone, and that of the signal lane's
 /// adapter, under SCHED_RR where permitted; what comes goes to `events`. Ownership: listens until shut(); the
@@ -42,8 +46,9 @@ struct DirectSettings {
 class DirectDoor {
   public:
     DirectDoor(const asio::any_io_executor& strand, ServerCommunicators& ice, const std::string& address,
-               DirectPorts ports, const std::string& entity, const Clock& clock,
-               const std::weak_ptr<DirectEvents>& events);
+               const DirectSettings& settings, const std::string& entity, const Clock& clock,
+               const std::weak_ptr<DirectEvents>& events,
+               const std::shared_ptr<const direct::lane::Tls>& tls);
     ~DirectDoor();
     DirectDoor(const DirectDoor&) = delete;
     DirectDoor& operator=(const DirectDoor&) = delete;
@@ -68,13 +73,15 @@ class DirectDoor {
 /// (DirectDoor).
 class DirectDoors {
   public:
+    /// `tls`: clients are to call by TLS, with the certificates of `ice`. Where these cannot be used, the log
+    /// says so, and nobody is offered a path.
     DirectDoors(asio::any_io_executor strand, DirectSettings settings,
                 std::shared_ptr<ServerCommunicators> ice, std::string entity, const Clock& clock,
-                std::weak_ptr<DirectEvents> events);
+                std::weak_ptr<DirectEvents> events, bool tls);
 
     /// There is a session with the server: listens at the address where the way there begins, or anew where
-    /// that is another one than before. The endpoints to tell holders, data and signals; empty, with a
-    /// warning in the log, when there are none.
+    /// that is another one than before. The endpoints to tell holders, data and signals: "host:port", or
+    /// "ssl://host:port"; empty, with a warning in the log, when there are none.
     std::pair<std::string, std::string> listen(const std::string& way_to_server);
     void shut();
     /// DirectEvents::directMsg() may take more again.
@@ -89,6 +96,8 @@ class DirectDoors {
     const std::string entity_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
+    const bool speaks_tls_;
+    std::shared_ptr<const direct::lane::Tls> tls_;  // null: plain, or its certificate cannot be used
     std::vector<std::unique_ptr<DirectDoor>> doors_;
     std::string listens_at_;  // empty: none is open
 };

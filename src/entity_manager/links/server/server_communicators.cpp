@@ -17,10 +17,23 @@ ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
                                            .lane = Lane::Signal,
                                            .client_threads = signal_threads,
                                            .properties = properties})),
+      properties_(properties),
       data_adapter_(data_->createObjectAdapter("")),
       signal_adapter_(signal_->createObjectAdapter("")) {
     data_adapter_->activate();
     signal_adapter_->activate();
+}
+
+const std::shared_ptr<Ice::Communicator>& ServerCommunicators::direct(bool tls) {
+    if (!tls) return signal();
+    const std::lock_guard lock(mutex_);
+    if (!direct_tls_.communicator()) {
+        auto properties = properties_;
+        properties.emplace("Ice.MessageSizeMax", std::to_string(transport::kSignalSizeMaxKib));
+        direct_tls_ = transport::makeCommunicator(
+            {.name = "axon-em-direct", .lane = Lane::Data, .properties = std::move(properties)});
+    }
+    return direct_tls_.communicator();
 }
 
 transport::ConnectionLimits& ServerCommunicators::limits() {
@@ -36,6 +49,12 @@ transport::ConnectionLimits& ServerCommunicators::limits() {
 void ServerCommunicators::destroy() {
     data_->destroy();
     signal_->destroy();
+    std::shared_ptr<Ice::Communicator> tls;
+    {
+        const std::lock_guard lock(mutex_);
+        tls = direct_tls_.communicator();
+    }
+    if (tls) tls->destroy();  // which joins threads that may want the mutex
 }
 
 }  // namespace axon::entity_manager

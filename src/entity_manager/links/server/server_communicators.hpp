@@ -32,12 +32,21 @@ class ServerCommunicators {
     const std::shared_ptr<Ice::Communicator>& signal() const { return signal_.communicator(); }
     const std::shared_ptr<Ice::ObjectAdapter>& dataAdapter() const { return data_adapter_; }
     const std::shared_ptr<Ice::ObjectAdapter>& signalAdapter() const { return signal_adapter_; }
+    /// The properties of Ice that they were made with.
+    const std::map<std::string, std::string>& properties() const { return properties_; }
+    /// Where the signal lanes of direct paths are opened: that of signals; for TLS one of its own, whose
+    /// threads have no priority, as strangers make them calculate. Made by the first call. Throws
+    /// std::runtime_error.
+    const std::shared_ptr<Ice::Communicator>& direct(bool tls);
     /// Of the ports of direct paths; has a thread from the first call on. Any thread.
     transport::ConnectionLimits& limits();
 
   private:
     Ice::CommunicatorHolder data_;
     Ice::CommunicatorHolder signal_;
+    const std::map<std::string, std::string> properties_;
+    std::mutex mutex_;
+    Ice::CommunicatorHolder direct_tls_;                // made under mutex_; none before
     std::shared_ptr<Ice::ObjectAdapter> data_adapter_;  // no endpoints: pushes come over our own connections
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter_;
     const SteadyClock clock_{};

@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/caretaker.hpp"
+
+#include <fcntl.h>
+#include <gmock/gmock.h>
+#include <poll.h>
+#include <stdlib.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+
+#include "cli/fake_station.hpp"
+#include "common/descriptor.hpp"
+#include "support/loopback.hpp"
+
+using namespace axon;
+using namespace axon::cli;
+using std::chrono::seconds;
+using testing::HasSubstr;
+using testing::Not;
+
+namespace {
+
+/// A terminal, and the end that its user looks at.
+struct Pty {
+    Descriptor seen{::posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC | O_NONBLOCK)};
+    Descriptor kept;  // so that nobody's closing it hangs it up
+    std::string path;
+
+    Pty() {
+        EXPECT_EQ(::grantpt(seen.get()), 0);
+        EXPECT_EQ(::unlockpt(seen.get()), 0);
+        char name[128] = "";
+        EXPECT_EQ(::ptsname_r(seen.get(), name, sizeof name), 0);
+        path = name;
+        kept = Descriptor(::open(name, O_RDWR | O_NOCTTY | O_CLOEXEC));
+    }
+    std::string text() const {
+        std::string all;
+        char bytes[1024];
+        pollfd watched{seen.get(), POLLIN, 0};
+        while (::poll(&watched, 1, 0) > 0 && (watched.revents & POLLIN) != 0) {
+            const auto count = ::read(seen.get(), bytes, sizeof bytes);
+            if (count <= 0) break;
+            all.append(bytes, static_cast<std::size_t>(count));
+        }
+        return all;
+    }
+};
+
+struct Told : testing::Test {
+    Pty pty;
+    std::shared_ptr<Notifier> notifier = std::make_shared<Notifier>();
+    FakeStation station;
+};
+
+}  // namespace
+
+TEST(Idle, WarnsOnceAndThenReleases) {
+    ManualClock clock;
+    IdleWatch idle(clock.now());
+    idle.setLimit(Seconds(1200));
+    clock.advance(seconds(899));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Nothing);
+    clock.advance(seconds(1));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Warn) << "five minutes before";
+    clock.advance(seconds(1));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Nothing);
+    clock.advance(seconds(299));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Release);
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Nothing) << "once";
+}
+
+TEST(Idle, BeginsAnewWithEachUse) {
+    ManualClock clock;
+    IdleWatch idle(clock.now());
+    idle.setLimit(Seconds(100));
+    EXPECT_EQ(idle.warning(), Seconds(50)) << "of a short limit half";
+    clock.advance(seconds(60));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Warn);
+    EXPECT_EQ(idle.look(clock.now(), true), IdleWatch::Says::Nothing);
+    clock.advance(seconds(49));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Nothing);
+    clock.advance(seconds(1));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Warn) << "it is warned of again";
+}
+
+TEST(Idle, WithoutALimitNothingEnds) {
+    ManualClock clock;
+    IdleWatch idle(clock.now());
+    EXPECT_EQ(idle.limit(), Seconds(3600));
+    idle.setLimit(Seconds(0));
+    clock.advance(seconds(1'000'000));
+    EXPECT_EQ(idle.look(clock.now(), false), IdleWatch::Says::Nothing);
+}
+
+TEST_F(Told, ALineAndTheBellComeToTheTerminalAndNothingSteersIt) {
+    notifier->tell("too early");
+    notifier->aim({{"terminal", pty.path}});
+    notifier->tell("eve\x1b[2J asks for PeopleBot");
+    const auto text = pty.text();
+    EXPECT_THAT(text, testing::StartsWith("\a\r"));
+    EXPECT_THAT(text, HasSubstr("\naxon: eve?[2J asks for PeopleBot\r"));
+    EXPECT_THAT(text, Not(HasSubstr("early")));
+}
+
+TEST_F(Told, NothingIsWrittenIntoAFileThatIsNoTerminal) {
+    const auto file = std::filesystem::path(testing::TempDir()) / "axon-no-terminal";
+    std::ofstream(file) << "mine";
+    notifier->aim({{"terminal", file.string()}});
+    notifier->tell("hello");
+    EXPECT_EQ(std::filesystem::file_size(file), 4U);
+    std::filesystem::remove(file);
+    notifier->aim({{"terminal", "/no/such/terminal"}});
+    notifier->tell("hello");
+}
+
+TEST_F(Told, TheDesktopIsToldByNotifySendWhereThereIsOne) {
+    const auto folder = std::filesystem::path(testing::TempDir()) / "axon-notify";
+    std::filesystem::remove_all(folder);
+    std::filesystem::create_directories(folder);
+    const auto program = folder / "notify-send";
+    std::ofstream(program) << "#!/bin/sh\nfor last; do :; done\necho \"$DISPLAY $last\" >\"$0.part\"\nmv "
+                              "\"$0.part\" \"$0.said\"\n";
+    std::filesystem::permissions(program, std::filesystem::perms::owner_all);
+    const std::string path = ::getenv("PATH");
+    ASSERT_EQ(::setenv("PATH", (folder.string() + ":" + path).c_str(), 1), 0);
+    notifier->aim({{"environment", {{"DISPLAY", ":7"}, {"LD_PRELOAD", "evil"}}}});
+    notifier->tell("hello");
+    EXPECT_TRUE(test::waitUntil([&] { return std::filesystem::exists(folder / "notify-send.said"); }));
+    std::ifstream said(folder / "notify-send.said");
+    EXPECT_EQ(std::string(std::istreambuf_iterator<char>(said), {}), ":7 hello\n");
+    ASSERT_EQ(::setenv("PATH", path.c_str(), 1), 0);
+    std::filesystem::remove_all(folder);
+}
+
+TEST_F(Told, ARequestForWhatIsHeldIsToldWithItsAnswer) {
+    RequestWatch requests(notifier);
+    station.asks = "eve@lab";
+    ASSERT_TRUE(station.checkOut({station.entities_[2].id}));
+    requests.follow(station);
+    EXPECT_EQ(pty.text(), "") << "nobody wants to be told";
+    notifier->aim({{"terminal", pty.path}});
+    requests.follow(station);
+    const auto text = pty.text();
+    EXPECT_THAT(
+        text, HasSubstr("eve@lab asks for Cyton: a demonstration. Answer within 30.0 s: axon handover Cyton "
+                        "accept, or refuse; no answer refuses"));
+    EXPECT_THAT(text, Not(HasSubstr("PeopleBot"))) << "which is not held";
+    requests.follow(station);
+    EXPECT_EQ(pty.text(), "") << "it is listened to already";
+}
