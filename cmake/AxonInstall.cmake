@@ -115,7 +115,7 @@ set(CPACK_COMPONENTS_GROUPING ONE_PER_COMPONENT)
 set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
 set(CPACK_PACKAGE_VENDOR Axon)
-set(CPACK_PACKAGE_CONTACT "Axon developers <axon@localhost>")
+set(CPACK_PACKAGE_CONTACT "Axon developers <developers@axon.invalid>") # no mailbox; put yours here to publish packages
 set(CPACK_PROJECT_CONFIG_FILE "${PROJECT_SOURCE_DIR}/deploy/debian/packages.cmake")
 set(CPACK_PRE_BUILD_SCRIPTS "${PROJECT_SOURCE_DIR}/deploy/debian/stage.cmake")
 set(CPACK_AXON_SOURCE "${PROJECT_SOURCE_DIR}")

@@ -45,6 +45,11 @@ foreach(package IN LISTS CPACK_COMPONENTS_ALL)
   configure_file("${CPACK_AXON_SOURCE}/CHANGELOG.md" "${doc}/changelog" COPYONLY)
   run(gzip --best --no-name --force "${doc}/changelog.Debian" "${doc}/changelog")
 
+  file(GLOB manuals "${root}/usr/share/man/man*/*.[1-8]")
+  if(manuals)
+    run(gzip --best --no-name --force ${manuals})
+  endif()
+
   # Libraries are where the system looks for them, so no program says where. Static libraries keep no debugging symbols.
   file(GLOB_RECURSE files "${root}/*")
   foreach(file IN LISTS files)
