@@ -68,6 +68,12 @@ def digest(file):
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
+def may_raise_limits():
+    """CAP_SYS_RESOURCE, which root of a container or of some virtual machines lacks; an init without it cannot raise hard limits."""
+    effective = re.search(r"^CapEff:\s*([0-9a-f]+)", pathlib.Path("/proc/self/status").read_text(), re.MULTILINE).group(1)
+    return bool(int(effective, 16) >> 24 & 1)
+
+
 class Test(unittest.TestCase):
     """After SIGTERM, unittest cleans up what runs, and begins no other test."""
 
@@ -186,6 +192,8 @@ class BareSystem(Test):
         self.assertIn("succeeded", self.ok("axon", "run", "Greeter", "Greet", "Name=you"))
         self.assertTrue((self.system.root / "var/lib/axon/Greeter").is_dir())
         for unit in ("axon-server", "axon-entity-manager@Greeter"):  # the sandbox lets them have what they ask for
+            if not may_raise_limits():
+                continue  # the limits of the units are then those of this machine, whatever the units say
             said = self.ok("journalctl", "--no-pager", "-u", unit)
             self.assertNotIn("memory is not locked", said)
             process = self.ok("systemctl", "show", "--value", "--property=MainPID", unit).strip()
@@ -234,7 +242,7 @@ class BareSystem(Test):
 
     def purge_leaves_nothing(self):
         self.ok("systemctl", "stop", "greeter")
-        self.ok("sh", "-c", "apt-get purge -y '?name(^(lib)?axon)'")
+        self.ok("apt-get", "purge", "-y", "?name(^axon)", "?name(^libaxon)")
         for left in ("etc/axon", "etc/default/axon-server", "var/lib/axon", "etc/systemd/system/multi-user.target.wants/axon-server.service",
                      "etc/systemd/system/multi-user.target.wants/axon-entity-manager@Greeter.service"):
             self.assertFalse(os.path.lexists(self.system.root / left), left)
