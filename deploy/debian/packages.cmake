@@ -29,7 +29,7 @@ macro(debian_package name section)
   string(TOUPPER "${name}" upper)
   set(CPACK_DEBIAN_${upper}_PACKAGE_NAME "${name}")
   set(CPACK_DEBIAN_${upper}_PACKAGE_SECTION "${section}")
-  string(REPLACE "\n" "\n " CPACK_DEBIAN_${upper}_DESCRIPTION "${P_DESCRIPTION}") # otherwise CPack joins the lines
+  set(CPACK_DEBIAN_${upper}_DESCRIPTION "${P_DESCRIPTION}")
   foreach(relation DEPENDS RECOMMENDS SUGGESTS)
     string(REPLACE ";" ", " CPACK_DEBIAN_${upper}_PACKAGE_${relation} "${P_${relation}}")
   endforeach()

@@ -193,7 +193,8 @@ class BareSystem(Test):
         self.assertTrue((self.system.root / "var/lib/axon/Greeter").is_dir())
         for unit in ("axon-server", "axon-entity-manager@Greeter"):  # the sandbox lets them have what they ask for
             if not may_raise_limits():
-                continue  # the limits of the units are then those of this machine, whatever the units say
+                print("limits of the units are not checked: root of this machine lacks CAP_SYS_RESOURCE", file=sys.stderr)
+                break
             said = self.ok("journalctl", "--no-pager", "-u", unit)
             self.assertNotIn("memory is not locked", said)
             process = self.ok("systemctl", "show", "--value", "--property=MainPID", unit).strip()
@@ -228,7 +229,7 @@ class BareSystem(Test):
         control.write_text(control.read_text().replace(version, f"{version}.1"))
         for settings in content.glob("etc/axon/*.cfg"):
             settings.write_text(settings.read_text() + "# a line of the newer package\n")
-        subprocess.run(["dpkg-deb", "--build", "--root-owner-group", "-Zgzip", content, to], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(["dpkg-deb", "--build", "--root-owner-group", "-Znone", content, to], check=True, stdout=subprocess.DEVNULL)
         shutil.rmtree(content)
 
     def removal_stops(self):
