@@ -1,31 +1,128 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-# Two components: EntityInterfacer (MIT: all that a robot developer needs) and Programs (GPL-2.0-or-later).
+# What is installed. A component is a Debian package of that name (deploy/debian):
+#   libaxon-entity-interfacer0, libaxon-entity-interfacer-dev  MIT: what a robot developer needs
+#   libaxon-client-dev                                         what the programmer of a client needs
+#   axon, axon-server, axon-entity-manager, axon-lab, axon-tools  programs
+# cmake --install BUILD --prefix DIR [--component NAME]
 include(CMakePackageConfigHelpers)
+set(cmake_files "${CMAKE_INSTALL_LIBDIR}/cmake/Axon")
+set(packages)
+add_custom_target(installed_programs) # whatever the packages contain
 
-install(TARGETS axon_entity_interfacer EXPORT AxonTargets COMPONENT EntityInterfacer FILE_SET HEADERS)
-install(EXPORT AxonTargets NAMESPACE Axon:: DESTINATION "${CMAKE_INSTALL_LIBDIR}/cmake/Axon" COMPONENT EntityInterfacer)
+# axon_install_programs(axon-lab axon-cyton hello-entity): those of these that this build has, for package axon-lab
+function(axon_install_programs package)
+  foreach(program IN LISTS ARGN)
+    if(TARGET ${program})
+      install(TARGETS ${program} RUNTIME COMPONENT ${package})
+      add_dependencies(installed_programs ${program})
+    endif()
+  endforeach()
+endfunction()
+
+# The Entity Interfacer.
+list(APPEND packages libaxon-entity-interfacer0 libaxon-entity-interfacer-dev)
+add_dependencies(installed_programs axon_entity_interfacer)
+install(TARGETS axon_entity_interfacer EXPORT AxonEntityInterfacerTargets
+  LIBRARY COMPONENT libaxon-entity-interfacer0 NAMELINK_COMPONENT libaxon-entity-interfacer-dev
+  FILE_SET HEADERS COMPONENT libaxon-entity-interfacer-dev)
+install(EXPORT AxonEntityInterfacerTargets NAMESPACE Axon:: DESTINATION "${cmake_files}" COMPONENT libaxon-entity-interfacer-dev)
 configure_package_config_file("${CMAKE_CURRENT_LIST_DIR}/AxonConfig.cmake.in" "${PROJECT_BINARY_DIR}/AxonConfig.cmake"
-  INSTALL_DESTINATION "${CMAKE_INSTALL_LIBDIR}/cmake/Axon")
+  INSTALL_DESTINATION "${cmake_files}")
 write_basic_package_version_file("${PROJECT_BINARY_DIR}/AxonConfigVersion.cmake" COMPATIBILITY SameMinorVersion)
 install(FILES "${PROJECT_BINARY_DIR}/AxonConfig.cmake" "${PROJECT_BINARY_DIR}/AxonConfigVersion.cmake"
-  DESTINATION "${CMAKE_INSTALL_LIBDIR}/cmake/Axon" COMPONENT EntityInterfacer)
-install(FILES "${PROJECT_SOURCE_DIR}/LICENSES/MIT.txt" DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT EntityInterfacer)
-install(DIRECTORY "${PROJECT_SOURCE_DIR}/api/schema" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT EntityInterfacer
+  DESTINATION "${cmake_files}" COMPONENT libaxon-entity-interfacer-dev)
+install(DIRECTORY "${PROJECT_SOURCE_DIR}/api/schema" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT libaxon-entity-interfacer-dev
   FILES_MATCHING PATTERN "*.xsd" PATTERN samples EXCLUDE)
+install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/libaxon-entity-interfacer-dev/examples"
+  COMPONENT libaxon-entity-interfacer-dev PATTERN "examples/CMakeLists.txt" EXCLUDE)
 
 if(AXON_ICE)
-  install(TARGETS axon-server axon-entity-manager axon RUNTIME COMPONENT Programs)
-  install(DIRECTORY "${PROJECT_SOURCE_DIR}/deploy/config/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/config" COMPONENT Programs)
-  install(FILES "${PROJECT_SOURCE_DIR}/api/schema/samples/valid/figure_a_1.xml"
-    DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/config/globalservices" COMPONENT Programs)
-  install(FILES "${PROJECT_SOURCE_DIR}/LICENSES/GPL-2.0-or-later.txt" DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT Programs)
+  # The client library is static (ADR 0034). What it consists of is installed with it, but is not for others to link.
+  set(client_parts axon_certificates axon_client_core axon_collaboration axon_common axon_datagrams axon_direct axon_direct_lane
+    axon_frame axon_host axon_messages axon_proto axon_slice axon_transport)
+  list(APPEND packages libaxon-client-dev)
+  add_dependencies(installed_programs axon_client ${client_parts})
+  set_target_properties(axon_client PROPERTIES EXPORT_NAME client)
+  install(TARGETS axon_client EXPORT AxonClientTargets ARCHIVE COMPONENT libaxon-client-dev INCLUDES DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}")
+  install(TARGETS ${client_parts} EXPORT AxonClientTargets ARCHIVE DESTINATION "${CMAKE_INSTALL_LIBDIR}/axon" COMPONENT libaxon-client-dev)
+  install(EXPORT AxonClientTargets NAMESPACE Axon:: DESTINATION "${cmake_files}" COMPONENT libaxon-client-dev)
+  install(FILES "${CMAKE_CURRENT_LIST_DIR}/AxonClient.cmake" DESTINATION "${cmake_files}" COMPONENT libaxon-client-dev)
+  foreach(headers src/client/axon src/common/axon)
+    install(DIRECTORY "${PROJECT_SOURCE_DIR}/${headers}" DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" COMPONENT libaxon-client-dev)
+  endforeach()
+
+  # The command and the daemons.
+  list(APPEND packages axon axon-server axon-entity-manager)
+  axon_install_programs(axon axon)
+  axon_install_programs(axon-server axon-server)
+  axon_install_programs(axon-entity-manager axon-entity-manager)
+  set(config "${PROJECT_SOURCE_DIR}/deploy/config")
+  set(config_to "${CMAKE_INSTALL_DATADIR}/axon/config")
+  install(FILES "${config}/client.cfg" DESTINATION "${config_to}" COMPONENT axon)
+  install(FILES "${config}/server.cfg" "${config}/clientrouter.cfg" DESTINATION "${config_to}" COMPONENT axon-server)
+  install(FILES "${PROJECT_SOURCE_DIR}/api/schema/samples/valid/figure_a_1.xml" DESTINATION "${config_to}/globalservices" COMPONENT axon-server)
+  install(FILES "${config}/entitymanager.cfg" DESTINATION "${config_to}" COMPONENT axon-entity-manager)
+  add_dependencies(installed_programs axon-manual) # src/cli installs manual pages and completion
+
+  # What measures, breaks and simulates.
+  list(APPEND packages axon-tools)
+  axon_install_programs(axon-tools axon-bench axon-channel axon-faults axon-simulate)
+  if(TARGET axon_slow_disk)
+    install(TARGETS axon_slow_disk LIBRARY DESTINATION libexec/axon COMPONENT axon-tools) # where axon-faults looks for it
+    add_dependencies(installed_programs axon_slow_disk)
+  endif()
 endif()
+
 if(AXON_LAB)
-  install(TARGETS axon-lab RUNTIME COMPONENT Programs) # robots install theirs
-  install(TARGETS axon_entity_interfacer LIBRARY COMPONENT Programs NAMELINK_SKIP) # the robot applications link it
-  install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT Programs)
+  list(APPEND packages axon-lab)
+  axon_install_programs(axon-lab axon-lab axon-peoplebot axon-cyton)
+  install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/lab" "${PROJECT_BINARY_DIR}/share/axon/robots"
+    DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT axon-lab)
+
+  # The entities of the examples: each starts with its own profiles, wherever the prefix is.
+  set(examples libexec/axon/examples)
+  foreach(example 01_hello_entity 05_collaboration)
+    install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/${example}" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/examples" COMPONENT axon-lab
+      FILES_MATCHING PATTERN "*.xml" PATTERN "*.cfg" PATTERN "map.txt" PATTERN "table.txt")
+  endforeach()
+  foreach(program hello-entity shuttle-entity arm-entity planner-entity)
+    set(folder 05_collaboration)
+    if(program STREQUAL hello-entity)
+      set(folder 01_hello_entity)
+    endif()
+    set_target_properties(${program} PROPERTIES INSTALL_RPATH "$ORIGIN/../../../${CMAKE_INSTALL_LIBDIR}")
+    install(TARGETS ${program} RUNTIME DESTINATION "${examples}" COMPONENT axon-lab)
+    add_dependencies(installed_programs ${program})
+    configure_file("${CMAKE_CURRENT_LIST_DIR}/example_program.in" "${PROJECT_BINARY_DIR}/example_programs/${program}" @ONLY)
+    install(PROGRAMS "${PROJECT_BINARY_DIR}/example_programs/${program}" DESTINATION "${CMAKE_INSTALL_BINDIR}" COMPONENT axon-lab)
+  endforeach()
 endif()
 
 # The documentation site, if it has been built: cmake --build BUILD --target docs_site, or tools/make_docs.
 add_custom_target(docs_site COMMAND "${PROJECT_SOURCE_DIR}/tools/make_docs" USES_TERMINAL COMMENT "Building the documentation site")
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/build/docs-site/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/axon/html" COMPONENT axon-doc OPTIONAL)
+foreach(package IN LISTS packages)
+  set(licence GPL)
+  if(package MATCHES "entity-interfacer")
+    set(licence MIT)
+  endif()
+  install(FILES "${PROJECT_SOURCE_DIR}/deploy/debian/copyright.${licence}" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/${package}"
+    RENAME copyright COMPONENT ${package})
+endforeach()
+
+# cpack -G DEB --config BUILD/CPackConfig.cmake -B DIR, as tools/make_packages does.
+set(CPACK_GENERATOR DEB)
+set(CPACK_COMPONENTS_ALL ${packages})
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+set(CPACK_COMPONENTS_GROUPING ONE_PER_COMPONENT)
+set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_PACKAGE_VENDOR Axon)
+set(CPACK_PACKAGE_CONTACT "Axon developers <developers@axon.invalid>") # no mailbox; put yours here to publish packages
+set(CPACK_PROJECT_CONFIG_FILE "${PROJECT_SOURCE_DIR}/deploy/debian/packages.cmake")
+set(CPACK_PRE_BUILD_SCRIPTS "${PROJECT_SOURCE_DIR}/deploy/debian/stage.cmake")
+set(CPACK_AXON_SOURCE "${PROJECT_SOURCE_DIR}")
+set(CPACK_AXON_BUILD "${PROJECT_BINARY_DIR}")
+set(CPACK_AXON_LIBDIR "${CMAKE_INSTALL_LIBDIR}")
+set(CPACK_AXON_SOVERSION "${PROJECT_VERSION_MAJOR}")
+include(CPack)

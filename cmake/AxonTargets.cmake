@@ -19,7 +19,7 @@ function(axon_library name)
   cmake_parse_arguments(L "" "" "SOURCES;HEADERS;LINK;PRIVATE_LINK" ${ARGN})
   add_library(${name} STATIC ${L_SOURCES} ${L_HEADERS})
   target_compile_features(${name} PUBLIC cxx_std_20) # its headers need it, whatever a project that links it compiles with
-  target_link_libraries(${name} PUBLIC ${L_LINK} PRIVATE axon_options ${L_PRIVATE_LINK})
+  target_link_libraries(${name} PUBLIC ${L_LINK} PRIVATE "$<BUILD_INTERFACE:axon_options>" ${L_PRIVATE_LINK})
   target_include_directories(${name} PUBLIC "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/src>")
 endfunction()
 
@@ -30,22 +30,20 @@ function(axon_program name)
   target_link_libraries(${name} PRIVATE axon_options ${P_LINK})
 endfunction()
 
-# axon_python_program(axon-cluster MODULES cluster/__main__.py cluster/cluster.py)
+# axon_python_program(axon-cluster PACKAGE axon-tools MODULES cluster/__main__.py cluster/cluster.py)
 # Python modules packed into one executable file, in the build tree as where it is installed.
 function(axon_python_program name)
-  cmake_parse_arguments(P "" "" "MODULES" ${ARGN})
+  cmake_parse_arguments(P "" "PACKAGE" "MODULES" ${ARGN})
   find_package(Python3 REQUIRED COMPONENTS Interpreter)
   list(TRANSFORM P_MODULES PREPEND "${CMAKE_CURRENT_SOURCE_DIR}/")
-  set(stage "${CMAKE_CURRENT_BINARY_DIR}/${name}.modules")
   set(program "${CMAKE_RUNTIME_OUTPUT_DIRECTORY}/${name}")
+  set(packer "${PROJECT_SOURCE_DIR}/cmake/pack_python.py")
   add_custom_command(OUTPUT "${program}"
-    COMMAND "${CMAKE_COMMAND}" -E rm -rf "${stage}"
-    COMMAND "${CMAKE_COMMAND}" -E make_directory "${stage}" "${CMAKE_RUNTIME_OUTPUT_DIRECTORY}"
-    COMMAND "${CMAKE_COMMAND}" -E copy ${P_MODULES} "${stage}"
-    COMMAND Python3::Interpreter -m zipapp --python "/usr/bin/env python3" --output "${program}" "${stage}"
-    DEPENDS ${P_MODULES} VERBATIM COMMENT "Packing ${name}")
+    COMMAND "${CMAKE_COMMAND}" -E make_directory "${CMAKE_RUNTIME_OUTPUT_DIRECTORY}"
+    COMMAND Python3::Interpreter "${packer}" "${program}" ${P_MODULES}
+    DEPENDS ${P_MODULES} "${packer}" VERBATIM COMMENT "Packing ${name}")
   add_custom_target(${name} ALL DEPENDS "${program}")
-  install(PROGRAMS "${program}" DESTINATION "${CMAKE_INSTALL_BINDIR}" COMPONENT Programs)
+  install(PROGRAMS "${program}" DESTINATION "${CMAKE_INSTALL_BINDIR}" COMPONENT ${P_PACKAGE})
 endfunction()
 
 # axon_test(common_test LABEL unit SOURCES a_test.cpp LINK axon_common)

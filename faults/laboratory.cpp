@@ -32,7 +32,9 @@ std::string portText(std::uint16_t port) {
 }
 
 std::string slowDiskLibrary(const fs::path& programs) {
-    const auto library = programs / "libaxon_slow_disk.so";
+    constexpr auto kName = "libaxon_slow_disk.so";
+    auto library = programs / kName;                                                          // of a build
+    if (!fs::exists(library)) library = programs.parent_path() / "libexec" / "axon" / kName;  // as installed
     if (!fs::exists(library))
         throw std::runtime_error(library.string() +
                                  ": expected the library that makes a disk slow; fix: build axon_slow_disk, "

@@ -18,6 +18,7 @@
 #include "transport/process/descriptor_limit.hpp"
 #include "transport/process/logging.hpp"
 #include "transport/process/memory_lock.hpp"
+#include "transport/process/service_manager.hpp"
 #include "transport/sessions/routed_session.hpp"
 
 int main(int argc, char** argv) {
@@ -63,6 +64,7 @@ int main(int argc, char** argv) {
         manager->start();
         std::cout << "ready application=" << options.core.application << " entity=" << manager->uuid()
                   << " server=" << options.server.text() << std::endl;
+        transport::tellServiceManagerReady();
         ended.get_future().wait();
         manager->stop();
         ice->destroy();  // its threads may hold the manager, which must end while all that it uses is still

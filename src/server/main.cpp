@@ -11,6 +11,7 @@
 #include "transport/process/descriptor_limit.hpp"
 #include "transport/process/logging.hpp"
 #include "transport/process/memory_lock.hpp"
+#include "transport/process/service_manager.hpp"
 
 int main(int argc, char** argv) {
     // Before any thread exists, so that all inherit it: these signals are waited for below.
@@ -33,6 +34,7 @@ int main(int argc, char** argv) {
         const axon::server::Server server(std::move(parsed.options->settings));
         std::printf("%s\n", server.readyLine().c_str());
         std::fflush(stdout);
+        axon::transport::tellServiceManagerReady();
 
         int received = 0;
         while (sigwait(&awaited, &received) != 0 || received == SIGUSR1) {

@@ -248,10 +248,14 @@ void writeUser(const std::string& file, const std::string& name, UserRole role, 
     std::string text =
         "# Who may log in at axon-server: name role hash. Roles: observer, operator, admin, entity.\n";
     mode_t mode = 0600;
+    uid_t owner = ::geteuid();
+    gid_t group = ::getegid();
     if (const Descriptor old(::open(file.c_str(), O_RDONLY | O_CLOEXEC)); old.get() >= 0) {
         struct stat facts {};
         if (::fstat(old.get(), &facts) != 0) fail(file, "cannot be read");
         mode = facts.st_mode & 0640U;
+        owner = facts.st_uid;
+        group = facts.st_gid;
         text = contentOf(old.get(), file);
         Users::parse(text, file);  // nothing is added to what the server would refuse
     } else if (errno != ENOENT) {
@@ -263,6 +267,13 @@ void writeUser(const std::string& file, const std::string& name, UserRole role, 
     ::unlink(next.c_str());
     const Descriptor fd(::open(next.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, mode));
     if (fd.get() < 0) fail(next, "cannot be written");
+    // The server may read it as another user or through its group.
+    if ((owner != ::geteuid() || group != ::getegid()) && ::fchown(fd.get(), owner, group) != 0) {
+        const auto failure = errno;
+        ::unlink(next.c_str());
+        errno = failure;
+        fail(next, "cannot be given to the owner and group of the present file");
+    }
     for (std::string_view rest = text; !rest.empty();) {
         const auto done = ::write(fd.get(), rest.data(), rest.size());
         if (done < 0 && errno == EINTR) continue;

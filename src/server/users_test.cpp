@@ -146,6 +146,20 @@ TEST_F(UsersOnDisk, AddsAndReplacesUsersInAFileOfItsOwner) {
     EXPECT_EQ(Users::read(file).size(), 2U);
 }
 
+// An administrator adds a user as root, and the server reads the file as another user through its group.
+TEST_F(UsersOnDisk, KeepsOwnerGroupAndModeOfTheFile) {
+    if (::geteuid() != 0) GTEST_SKIP() << "only root may give a file away";
+    std::ofstream(file) << "# nobody yet\n";
+    ::chmod(file.c_str(), 0640);
+    ASSERT_EQ(::chown(file.c_str(), 4321, 1234), 0);
+    writeUser(file, "client1", UserRole::Operator, "one");
+    struct stat facts {};
+    ASSERT_EQ(::stat(file.c_str(), &facts), 0);
+    EXPECT_EQ(facts.st_uid, 4321U);
+    EXPECT_EQ(facts.st_gid, 1234U);
+    EXPECT_EQ(mode(), 0640U);
+}
+
 TEST_F(UsersOnDisk, RefusesAFileThatOthersMayReadOrWrite) {
     writeUser(file, "client1", UserRole::Operator, "one");
     for (const unsigned wide : {0644U, 0660U, 0604U, 0602U, 0740U}) {

@@ -1,29 +1,69 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: GPL-2.0-or-later
-# A robot developer's view: the installed component EntityInterfacer, find_package(Axon), and nothing else of Axon.
-# The example is copied away first, so that it cannot reach into the source tree.
+# What a developer sees of an installed Axon: find_package(Axon), and nothing else of Axon. The sources are copied away first,
+# so that they cannot reach into the source tree.
+#     install_test.sh BUILD SOURCE entity-interfacer|client
 set -euo pipefail
-build=$1 source=$2
+build=$1 source=$2 what=$3
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-cmake --install "$build" --prefix "$work/prefix" --component EntityInterfacer >/dev/null
-if find "$work/prefix" -name '*.pb.h' -o -name 'Ice*' | grep -q .; then
-    echo "the installed component contains protobuf or Ice headers" >&2
-    exit 1
-fi
-cp -r "$source/examples/01_hello_entity" "$work/hello"
-cmake -S "$work/hello" -B "$work/build" -G Ninja -DCMAKE_BUILD_TYPE=Debug -DCMAKE_PREFIX_PATH="$work/prefix" >/dev/null
-cmake --build "$work/build"
+install() { # install COMPONENT…
+    for component in "$@"; do cmake --install "$build" --prefix "$work/prefix" --component "$component" >/dev/null; done
+}
+configure() { # configure FOLDER: as another project
+    rm -rf "$work/build"
+    cmake -S "$1" -B "$work/build" -G Ninja -DCMAKE_BUILD_TYPE=Debug -DCMAKE_PREFIX_PATH="$work/prefix"
+}
+only_own_headers() {
+    if find "$work/prefix/include" -type f -not -path '*/include/axon/*' | grep . || grep -rhE '#include [<"](Ice|google|spdlog|libxml)' "$work/prefix/include"; then
+        echo "the installed headers contain or include those of other packages" >&2
+        exit 1
+    fi
+}
 
-printf 'Axon.Ports = 7900-7999\n' >"$work/ports.cfg"
-"$work/build/hello-entity" "$work/hello" "$work/ports.cfg" >"$work/log" 2>&1 &
-entity=$!
-for _ in $(seq 500); do
-    grep -q 'waits for its Entity Manager' "$work/log" && break
-    sleep 0.01 # the program's own start
-done
-kill "$entity"
-wait "$entity" || true
-cat "$work/log"
-grep -q 'waits for its Entity Manager' "$work/log"
+install libaxon-entity-interfacer0 libaxon-entity-interfacer-dev
+if [ "$what" = entity-interfacer ]; then
+    only_own_headers
+    cp -r "$source/examples/01_hello_entity" "$work/hello"
+    configure "$work/hello" >/dev/null
+    cmake --build "$work/build"
+
+    printf 'Axon.Ports = 7900-7999\n' >"$work/ports.cfg"
+    "$work/build/hello-entity" "$work/hello" "$work/ports.cfg" >"$work/log" 2>&1 &
+    entity=$!
+    for _ in $(seq 500); do
+        grep -q 'waits for its Entity Manager' "$work/log" && break
+        sleep 0.01 # the program's own start
+    done
+    kill "$entity"
+    wait "$entity" || true
+    cat "$work/log"
+    grep -q 'waits for its Entity Manager' "$work/log"
+else
+    mkdir "$work/client"
+    cp "$source/tests/install/client_user.cpp" "$work/client"
+    cat >"$work/client/CMakeLists.txt" <<'TEXT'
+cmake_minimum_required(VERSION 3.25)
+project(client_user LANGUAGES CXX)
+find_package(Axon REQUIRED COMPONENTS Client)
+add_executable(client-user client_user.cpp)
+target_link_libraries(client-user PRIVATE Axon::client)
+file(GENERATE OUTPUT includes CONTENT "$<JOIN:$<REMOVE_DUPLICATES:$<TARGET_PROPERTY:client-user,INCLUDE_DIRECTORIES>>,\n>\n")
+TEXT
+    # Not installed: the error says what to install.
+    if configure "$work/client" >"$work/log" 2>&1; then
+        echo "find_package found a client library that is not installed" >&2
+        exit 1
+    fi
+    tr -s '\n ' ' ' <"$work/log" | grep -q 'fix: install libaxon-client-dev'
+
+    install libaxon-client-dev
+    only_own_headers
+    configure "$work/client" >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
+    cmake --build "$work/build"
+    # A program that uses it is compiled with Axon's headers only.
+    test "$(cat "$work/build/includes")" = "$work/prefix/include"
+    "$work/build/client-user" | tee "$work/log"
+    grep -q '127.0.0.1:1' "$work/log"
+fi

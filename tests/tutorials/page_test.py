@@ -61,15 +61,14 @@ class Machine:
     def prepare(self):
         """What the page about preparing says: the libraries in ~/axon."""
         prefix = self.work.parent / "axon-prefix"
-        for component in ("EntityInterfacer", "Client"):
+        for component in ("libaxon-entity-interfacer0", "libaxon-entity-interfacer-dev", "libaxon-client-dev"):
             subprocess.run(["cmake", "--install", self.programs.parent, "--prefix", prefix, "--component", component], check=True,
                            stdout=subprocess.DEVNULL)
         self.env["CMAKE_PREFIX_PATH"] = str(prefix)
 
     def has(self, component):
         """Whether the prefix has this component of Axon."""
-        return any(f"Axon_{component}_FOUND" in file.read_text()
-                   for file in self.work.parent.glob("axon-prefix/lib/**/cmake/Axon/*.cmake"))
+        return any(self.work.parent.glob(f"axon-prefix/lib/**/cmake/Axon/Axon{component}Targets.cmake"))
 
     def terminal(self, name):
         if name not in self.terminals:

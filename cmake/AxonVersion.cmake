@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+# axon_version(SOURCE VERSION_VAR EPOCH_VAR): the version of packages, and the time that their files get.
+#
+#   0.1.0                   the commit has the tag v0.1.0, and nothing is changed
+#   0.1.0~git1605.2c8eaaa   before that tag: the number of commits, and the commit
+#   0.1.0+git12.2c8eaaa     12 commits after it
+#   ….changed               with changes that are not committed
+# 0.1.0 is the VERSION of project() in CMakeLists.txt. Sources without git are an archive made by git, which has written
+# cmake/archive.txt, or have neither: then it is 0.1.0~archive.
+# The time is SOURCE_DATE_EPOCH, or that of the commit, or that of CHANGELOG.md.
+function(axon_version source version_variable epoch_variable)
+  file(STRINGS "${source}/CMakeLists.txt" project REGEX "^project\\(Axon VERSION")
+  string(REGEX MATCH "[0-9]+\\.[0-9]+\\.[0-9]+" number "${project}")
+  set(described)
+  set(commit)
+  set(changed)
+  set(epoch "$ENV{SOURCE_DATE_EPOCH}")
+  if(EXISTS "${source}/.git")
+    set(git git -C "${source}" -c "safe.directory=${source}")
+    execute_process(COMMAND ${git} describe --tags "--match=v[0-9]*" --long OUTPUT_VARIABLE described OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET)
+    execute_process(COMMAND ${git} rev-parse --short=7 HEAD OUTPUT_VARIABLE commit OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
+    execute_process(COMMAND ${git} rev-list --count HEAD OUTPUT_VARIABLE count OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
+    execute_process(COMMAND ${git} status --porcelain --untracked-files=no OUTPUT_VARIABLE changed COMMAND_ERROR_IS_FATAL ANY)
+    if(epoch STREQUAL "")
+      execute_process(COMMAND ${git} log -1 --format=%ct OUTPUT_VARIABLE epoch OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
+    endif()
+  else()
+    file(STRINGS "${source}/cmake/archive.txt" lines)
+    set(count archive)
+    foreach(line IN LISTS lines)
+      if(line MATCHES "^describe (v[0-9].*)$")
+        set(described "${CMAKE_MATCH_1}")
+      elseif(line MATCHES "^commit ([0-9a-f]+)$")
+        set(commit "${CMAKE_MATCH_1}")
+      elseif(line MATCHES "^time ([0-9]+)$" AND epoch STREQUAL "")
+        set(epoch "${CMAKE_MATCH_1}")
+      endif()
+    endforeach()
+    if(epoch STREQUAL "")
+      file(TIMESTAMP "${source}/CHANGELOG.md" epoch "%s" UTC)
+    endif()
+  endif()
+
+  if(described MATCHES "^v([0-9.]+)$") # an archive of a tag
+    set(described "${described}-0-g${commit}")
+  endif()
+  if(described MATCHES "^v([0-9.]+)-([0-9]+)-g")
+    set(tag "${CMAKE_MATCH_1}")
+    set(count "${CMAKE_MATCH_2}")
+  endif()
+  string(REGEX REPLACE "^(.......).*" "\\1" commit "${commit}")
+  if(count STREQUAL "archive")
+    set(version "${number}~archive")
+    if(commit)
+      string(APPEND version ".${commit}")
+    endif()
+  elseif(NOT DEFINED tag OR tag VERSION_LESS number)
+    set(version "${number}~git${count}.${commit}")
+  elseif(tag VERSION_GREATER number)
+    message(FATAL_ERROR "The tag v${tag} is newer than the version ${number} of CMakeLists.txt: expected the same number or an "
+      "older tag; fix: set VERSION of project() to the next version")
+  elseif(count EQUAL 0)
+    set(version "${number}")
+  else()
+    set(version "${number}+git${count}.${commit}")
+  endif()
+  if(changed)
+    string(APPEND version ".changed")
+  endif()
+  set(${version_variable} "${version}" PARENT_SCOPE)
+  set(${epoch_variable} "${epoch}" PARENT_SCOPE)
+endfunction()

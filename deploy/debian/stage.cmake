@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+# What Debian wants besides installed files. CPack runs it when the files of all packages are in their folders and before
+# it packs them. The same sources and compiler give the same packages: every file gets the time of the commit.
+include("${CPACK_AXON_SOURCE}/cmake/AxonVersion.cmake")
+axon_version("${CPACK_AXON_SOURCE}" version epoch)
+set(debian "${CPACK_AXON_SOURCE}/deploy/debian")
+set(config "${CPACK_AXON_SOURCE}/deploy/config")
+
+function(run)
+  execute_process(COMMAND ${ARGN} COMMAND_ERROR_IS_FATAL ANY)
+endfunction()
+# put(FILE TO [NAME]): into the package that is being prepared
+function(put file to)
+  file(MAKE_DIRECTORY "${root}/${to}")
+  set(name "${ARGN}")
+  if(NOT name)
+    get_filename_component(name "${file}" NAME)
+  endif()
+  configure_file("${file}" "${root}/${to}/${name}" COPYONLY NO_SOURCE_PERMISSIONS)
+endfunction()
+
+foreach(package IN LISTS CPACK_COMPONENTS_ALL)
+  set(root "${CPACK_TEMPORARY_INSTALL_DIRECTORY}/${package}")
+  if(package STREQUAL "axon-server")
+    put("${config}/server.cfg" etc/axon)
+    put("${debian}/axon-server/default" etc/default axon-server)
+    put("${CPACK_AXON_SOURCE}/deploy/systemd/axon-server.service" usr/lib/systemd/system)
+  elseif(package STREQUAL "axon-entity-manager")
+    # The example, without the name of its application: the unit has it.
+    file(READ "${config}/entitymanager.cfg" text)
+    string(REGEX REPLACE "^#[^\n]*\n" "# Settings of every Entity Manager that systemd starts here: systemctl enable --now axon-entity-manager@APPLICATION\n" text "${text}")
+    string(REPLACE "\nAxon.Application=peoplebot\n" "\n#Axon.Application=peoplebot\n" text "${text}")
+    file(WRITE "${root}/etc/axon/entitymanager.cfg" "${text}")
+    put("${CPACK_AXON_SOURCE}/deploy/systemd/axon-entity-manager@.service" usr/lib/systemd/system)
+  endif()
+  if(EXISTS "${debian}/${package}/lintian-overrides")
+    put("${debian}/${package}/lintian-overrides" usr/share/lintian/overrides "${package}")
+  endif()
+
+  # Both changelogs: what the packager did, and Axon's own.
+  set(doc "${root}/usr/share/doc/${package}")
+  execute_process(COMMAND date -R -u -d "@${epoch}" OUTPUT_VARIABLE date OUTPUT_STRIP_TRAILING_WHITESPACE COMMAND_ERROR_IS_FATAL ANY)
+  file(WRITE "${doc}/changelog.Debian"
+    "axon (${version}-1) unstable; urgency=medium\n\n  * Packages made by CPack from the sources.\n\n -- ${CPACK_PACKAGE_CONTACT}  ${date}\n")
+  configure_file("${CPACK_AXON_SOURCE}/CHANGELOG.md" "${doc}/changelog" COPYONLY)
+  run(gzip --best --no-name --force "${doc}/changelog.Debian" "${doc}/changelog")
+
+  file(GLOB manuals "${root}/usr/share/man/man*/*.[1-8]")
+  if(manuals)
+    run(gzip --best --no-name --force ${manuals})
+  endif()
+
+  # Libraries are where the system looks for them, so no program says where. Static libraries keep no debugging symbols.
+  file(GLOB_RECURSE files "${root}/*")
+  foreach(file IN LISTS files)
+    if(IS_SYMLINK "${file}")
+      continue()
+    endif()
+    if(file MATCHES "\\.a$")
+      run(strip --strip-debug --enable-deterministic-archives "${file}")
+    else()
+      file(READ "${file}" magic LIMIT 4 HEX)
+      if(magic STREQUAL "7f454c46")
+        file(RPATH_REMOVE FILE "${file}")
+      endif()
+    endif()
+  endforeach()
+  run(find "${root}" -type d -exec chmod 755 {} +)
+  run(find "${root}" -type f -perm /111 -exec chmod 755 {} +)
+  run(find "${root}" -type f -not -perm /111 -exec chmod 644 {} +)
+  run(find "${root}" -exec touch --no-dereference --date=@${epoch} {} +)
+endforeach()
