@@ -13,6 +13,7 @@
 #include "client/base/log.hpp"
 #include "client/connection/communicators.hpp"
 #include "client/connection/server_connection.hpp"
+#include "client/direct/may_open.hpp"
 #include "client/direct/network_path.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/sessions/routed_session.hpp"
@@ -483,25 +484,19 @@ void Client::Session::onDatagrams(const Held& held, const std::string& endpoint,
 
 void Client::Session::onDirect(const Held& held, const std::string& data_endpoint,
                                const std::string& signal_endpoint, const std::string& key) {
-    const auto withdraw = [&] {
-        if (direct_.withdraw(held)) threads_.timer.wake();
-    };
-    // No way to an endpoint behind a router; nothing plain where the way to the server is TLS, and TLS only
-    // with what certificates are checked against.
-    if (data_endpoint.empty() || signal_endpoint.empty() || !options_.direct || communicators_->routed())
-        return withdraw();
-    const bool tls = DirectOffer::overTls(data_endpoint);
-    if (tls != DirectOffer::overTls(signal_endpoint) ||
-        (tls ? communicators_->tls() == nullptr : transport::parseEndpoint(options_.server).tls))
-        return withdraw();
-    // An Entity Manager beside the server names its own machine; elsewhere that is another one.
     const auto connection = connection_.load();
-    const auto local = [](const std::string& endpoint) {
-        return DirectOffer::addressIn(endpoint).starts_with("127.");
-    };
-    if (local(data_endpoint) && connection && !local(connection->peer())) return withdraw();
     const auto* const facts = core_.entities().facts(held.entity);
-    if (tls && facts == nullptr) return withdraw();  // no certificate could be that of this entity
+    const DirectSurroundings around{.wanted = options_.direct,
+                                    .routed = communicators_->routed(),
+                                    .server_tls = !communicators_->routed() &&
+                                                  transport::parseEndpoint(options_.server).tls,
+                                    .has_trust = communicators_->tls() != nullptr,
+                                    .known = facts != nullptr,
+                                    .server = connection ? connection->peer() : std::string()};
+    if (!mayOpen(data_endpoint, signal_endpoint, around)) {
+        if (direct_.withdraw(held)) threads_.timer.wake();
+        return;
+    }
     direct_.offer({held.entity, held.lease, key, core_.self().id, data_endpoint, signal_endpoint,
                    facts != nullptr ? facts->name : std::string()});
     threads_.timer.wake();
