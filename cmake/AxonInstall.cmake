@@ -3,6 +3,7 @@
 #   libaxon-entity-interfacer0, libaxon-entity-interfacer-dev  MIT: what a robot developer needs
 #   libaxon-client-dev                                         what the programmer of a client needs
 #   axon, axon-server, axon-entity-manager, axon-lab, axon-tools  programs
+#   axon-doc                                                  the documentation site
 # cmake --install BUILD --prefix DIR [--component NAME]
 include(CMakePackageConfigHelpers)
 set(cmake_files "${CMAKE_INSTALL_LIBDIR}/cmake/Axon")
@@ -98,9 +99,11 @@ if(AXON_LAB)
   endforeach()
 endif()
 
-# The documentation site, if it has been built: cmake --build BUILD --target docs_site, or tools/make_docs.
+# The documentation site: tools/make_docs builds it. Without it there is no package axon-doc (deploy/debian/packages.cmake).
 add_custom_target(docs_site COMMAND "${PROJECT_SOURCE_DIR}/tools/make_docs" USES_TERMINAL COMMENT "Building the documentation site")
+list(APPEND packages axon-doc)
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/build/docs-site/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/axon/html" COMPONENT axon-doc OPTIONAL)
+
 foreach(package IN LISTS packages)
   set(licence GPL)
   if(package MATCHES "entity-interfacer")

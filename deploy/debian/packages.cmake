@@ -20,6 +20,9 @@ if(NOT CPACK_DEBIAN_COMPRESSION_TYPE)
   set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
 endif()
 
+if(NOT EXISTS "${CPACK_AXON_SOURCE}/build/docs-site/index.html")
+  list(REMOVE_ITEM CPACK_COMPONENTS_ALL axon-doc)
+endif()
 set(same "(= ${CPACK_PACKAGE_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE})")
 set(folder "${CPACK_AXON_SOURCE}/deploy/debian")
 
@@ -43,7 +46,7 @@ debian_package(axon science DESCRIPTION "command to use the robots of an Axon la
 ${about}
 This package has the command axon, with its agent, which keeps a robot checked
 out between commands, and completion for bash, zsh and fish."
-  RECOMMENDS "axon-server ${same}" "axon-entity-manager ${same}" SUGGESTS "axon-tools ${same}")
+  RECOMMENDS "axon-server ${same}" "axon-entity-manager ${same}" SUGGESTS "axon-doc ${same}" "axon-tools ${same}")
 debian_package(axon-server science DESCRIPTION "server to which clients and robots of an Axon laboratory connect
 ${about}
 This package has the server and its systemd service, which listens on this
@@ -67,6 +70,12 @@ axon-cluster, which runs the servers as separate processes behind routers."
   DEPENDS "axon ${same}" "axon-server ${same}" "axon-entity-manager ${same}" "libaxon-entity-interfacer0 ${same}"
     libzeroc-icestorm3.7 zeroc-icebox zeroc-glacier2 python3
   SUGGESTS cyclonedds-tools gnuplot-nox mosquitto nats-server)
+debian_package(axon-doc doc DESCRIPTION "documentation of Axon
+${about}
+This package has the documentation as pages for a browser, with search:
+tutorials, how-to guides, reference and explanations. The command axon docs
+opens it."
+  SUGGESTS "axon ${same}")
 debian_package(libaxon-entity-interfacer${CPACK_AXON_SOVERSION} libs DESCRIPTION "library that connects a robot application with Axon
 ${about}
 This package has the shared library that robot applications are linked with.")

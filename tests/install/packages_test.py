@@ -34,7 +34,9 @@ if "--packages" in sys.argv:
     MADE = pathlib.Path(sys.argv[at + 1]).resolve()
     del sys.argv[at:at + 2]
 LIST = ROOT / "tests" / "install" / "packages.txt"
-PACKAGES = ("axon", "axon-entity-manager", "axon-lab", "axon-server", "axon-tools", "libaxon-client-dev", "libaxon-entity-interfacer-dev",
+SITE = ROOT / "build" / "docs-site"
+PAGES = "./usr/share/doc/axon/html/"  # which ones there are is not listed
+PACKAGES = ("axon", "axon-doc", "axon-entity-manager", "axon-lab", "axon-server", "axon-tools", "libaxon-client-dev", "libaxon-entity-interfacer-dev",
             "libaxon-entity-interfacer0")
 
 
@@ -42,6 +44,8 @@ def setUpModule():  # noqa: N802
     global FOLDER, DEBS
     FOLDER = pathlib.Path(tempfile.mkdtemp(prefix="axon-packages-"))
     unittest.addModuleCleanup(shutil.rmtree, FOLDER)
+    if not MADE and not (SITE / "index.html").exists():
+        subprocess.run(["/usr/bin/python3", ROOT / "tools" / "make_docs"], check=True)
     DEBS = by_name(MADE) if MADE else make("first")
 
 
@@ -95,13 +99,18 @@ class Packages(Test):
             for line in table.splitlines():
                 mode, owner, _, _, _, path = line.split(maxsplit=5)
                 self.assertEqual(owner, "root/root", path)
-                if not mode.startswith("d"):
+                if not mode.startswith("d") and not path.startswith(PAGES):
                     lines.append(f"{name} {path.removeprefix('./')}")
         text = "\n".join(lines) + "\n"
         if UPDATE:
             LIST.write_text(text)
         self.maxDiff = None
         self.assertEqual(text.splitlines(), LIST.read_text().splitlines(), "fix: tests/install/packages_test.py BUILD --update, and look at the difference")
+
+    def test_have_the_documentation(self):
+        table = subprocess.run(["dpkg-deb", "--contents", DEBS["axon-doc"]], capture_output=True, text=True, check=True).stdout
+        for page in ("index.html", "search.html", "searchindex.js", "licences.txt", "docs/questions.html", "docs/tutorials/your-first-robot.html"):
+            self.assertIn(f" {PAGES}{page}\n", table)
 
     def test_are_the_expected_ones_of_one_version(self):
         self.assertEqual(sorted(DEBS), sorted(PACKAGES))
@@ -176,6 +185,7 @@ class BareSystem(Test):
             done = self.system.run(program, "--help")
             self.assertEqual(done.returncode, 0, done.stdout)
             self.assertIn(program, done.stdout)
+        self.assertIn("/usr/share/doc/axon/html/docs/questions.html", self.ok("axon", "docs", "--path", "docs/questions.md"))
 
     def units_are_sound(self):
         for unit in ("axon-server.service", "axon-entity-manager@Greeter.service"):
