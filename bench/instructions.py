@@ -49,12 +49,15 @@ class Counted(Process):
     def __init__(self, name, command, folder):
         self.out = folder / f"{name}.callgrind"
         self.dumps = 0
+        self.last = time.monotonic()
         super().__init__(name, ["valgrind", "--tool=callgrind", f"--callgrind-out-file={self.out}", *command], folder, dict(os.environ))
 
     def counted(self):
-        """(instructions since the last call, the file that says where)."""
+        """(instructions since the last call, the seconds that they took, the file that says where)."""
         subprocess.run(["callgrind_control", "-d", str(self.child.pid)], check=True, stdout=subprocess.DEVNULL,
                        stderr=subprocess.DEVNULL, timeout=60)
+        now = time.monotonic()
+        since, self.last = now - self.last, now
         self.dumps += 1
         file = pathlib.Path(f"{self.out}.{self.dumps}")
         end = time.monotonic() + 30
@@ -62,7 +65,7 @@ class Counted(Process):
             if file.exists():
                 for line in file.read_text().splitlines():
                     if line.startswith("totals:"):
-                        return int(line.split()[1]), file
+                        return int(line.split()[1]), since, file
             time.sleep(0.05)
         raise Failed(f"callgrind has not written {file}")
 
@@ -123,16 +126,15 @@ def measured(pair, count, together, idle):
     """{station: (instructions per message, the file that says where)}; `idle`: instructions per second of each station."""
     pair.send(WARM_UP // together * together, together)
     pair.counted()
-    begin = time.monotonic()
     pair.send(count, together)
-    took = time.monotonic() - begin
-    return {name: (round((instructions - idle[name] * took) / count), file) for name, (instructions, file) in pair.counted().items()}
+    # Each station has its own time: the dumps are written one after the other.
+    return {name: (round((instructions - idle[name] * seconds) / count), file) for name, (instructions, seconds, file) in pair.counted().items()}
 
 
 def idle_of(pair):
     pair.counted()
     time.sleep(IDLE_SECONDS)
-    return {name: instructions / IDLE_SECONDS for name, (instructions, _) in pair.counted().items()}
+    return {name: instructions / seconds for name, (instructions, seconds, _) in pair.counted().items()}
 
 
 def main():
