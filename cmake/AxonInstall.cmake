@@ -82,14 +82,16 @@ if(AXON_LAB)
 
   # The entities of the examples: each starts with its own profiles, wherever the prefix is.
   set(examples libexec/axon/examples)
-  foreach(example 01_hello_entity 05_collaboration)
+  foreach(example 01_hello_entity 03_parameters 04_stop 05_collaboration 06_device)
     install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/${example}" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/examples" COMPONENT axon-lab
       FILES_MATCHING PATTERN "*.xml" PATTERN "*.cfg" PATTERN "map.txt" PATTERN "table.txt")
   endforeach()
-  foreach(program hello-entity shuttle-entity arm-entity planner-entity)
-    set(folder 05_collaboration)
-    if(program STREQUAL hello-entity)
-      set(folder 01_hello_entity)
+  foreach(of hello:01_hello_entity plotter:03_parameters cart:04_stop shuttle:05_collaboration arm:05_collaboration planner:05_collaboration
+      turntable:06_device)
+    string(REGEX REPLACE ":.*" "-entity" program "${of}")
+    string(REGEX REPLACE ".*:" "" folder "${of}")
+    if(NOT TARGET ${program}) # that of a client is built beside it
+      continue()
     endif()
     set_target_properties(${program} PROPERTIES INSTALL_RPATH "$ORIGIN/../../../${CMAKE_INSTALL_LIBDIR}")
     install(TARGETS ${program} RUNTIME DESTINATION "${examples}" COMPONENT axon-lab)

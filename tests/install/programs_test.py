@@ -53,7 +53,7 @@ class InstalledPrograms(unittest.TestCase):
         lab = Laboratory(self.bin, application="Greeter", environment="embedded")
         self.addCleanup(keep_if_failed, self, lab.folder)
         self.addCleanup(lab.end)
-        for program in ("hello-entity", "shuttle-entity", "arm-entity", "planner-entity"):
+        for program in ("hello-entity", "plotter-entity", "cart-entity", "shuttle-entity", "arm-entity", "planner-entity", "turntable-entity"):
             process = lab.start(program, program)
             wait_until(lambda its=process: "waits for its Entity Manager" in its.text(), f"{program} waits for its Entity Manager")
 
