@@ -4,7 +4,7 @@
 
     python3 tests/examples/examples_test.py --bin build/dev/bin [unittest options]
 
-A laboratory of real processes on free ports. In a README, a console block that begins with the name of the program is what
+A laboratory of real processes on free ports. In a README, a console block that begins with the program is what
 it prints; tests/tutorials/console.py says what … stands for.
 """
 import os
@@ -26,7 +26,7 @@ def shown(example, program):
     """What the README of an example says that the program prints."""
     for block in console.blocks((EXAMPLES / example / "README.md").read_text(encoding="utf-8")):
         for step in console.steps(block) if block.language == "console" else ():
-            if step.typed and step.typed.split()[0] == program:
+            if step.typed and pathlib.Path(step.typed.split()[0]).name == program:
                 return step.expected
     raise AssertionError(f"examples/{example}/README.md has no console block with $ {program}")
 
