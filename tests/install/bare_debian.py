@@ -12,7 +12,7 @@ import uuid
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent.parent / "tools"))
 from laboratory import Failed, wait_until  # noqa: E402
 
-INCLUDED = "systemd,systemd-sysv,dbus"  # what a bare Debian has and debootstrap's smallest variant lacks
+INCLUDED = "systemd,systemd-sysv,dbus,iproute2"  # what a bare Debian has and debootstrap's smallest variant lacks
 NAMESPACES = ("--mount", "--uts", "--ipc", "--net", "--pid")
 
 # Inside the new namespaces: the devices that programs need, an own view of processes and control groups, and systemd.

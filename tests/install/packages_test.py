@@ -143,6 +143,10 @@ class BareSystem(Test):
         packages.mkdir()
         for deb in DEBS.values():
             shutil.copy(deb, packages)
+        for part in ("docs/tutorials", "tests/tutorials"):
+            shutil.copytree(ROOT / part, packages / "lessons" / part)
+        (packages / "lessons/tools").mkdir()
+        shutil.copy(ROOT / "tools/laboratory.py", packages / "lessons/tools")
         folder = FOLDER / "system"
         folder.mkdir()
         try:
@@ -158,6 +162,7 @@ class BareSystem(Test):
         self.installs()
         self.units_are_sound()
         self.a_robot_is_seen()
+        self.the_lessons_go_as_they_are_printed()
         self.upgrade_keeps_what_was_changed()
         self.removal_stops()
         self.purge_leaves_nothing()
@@ -166,7 +171,8 @@ class BareSystem(Test):
         done = system.run_outside("apt-get", "update")
         if done.returncode != 0 or "Failed to fetch" in done.stdout:
             raise Unavailable("apt in the bare system cannot reach its mirror")
-        done = system.run_outside("sh", "-c", "apt-get install -y --download-only /mnt/*.deb")
+        # The compiler is what the lessons about programs of one's own ask for.
+        done = system.run_outside("sh", "-c", "apt-get install -y --download-only g++ cmake /mnt/*.deb")
         self.assertEqual(done.returncode, 0, done.stdout)
 
     def ok(self, *words, **options):
@@ -212,6 +218,15 @@ class BareSystem(Test):
         # A user that root adds can be read by the server.
         self.ok("sh", "-c", "echo secret | axon-server --users /etc/axon/users.cfg --add-user client1 --user-role operator")
         self.ok("runuser", "-u", "axon", "--", "grep", "-q", "^client1 operator", "/etc/axon/users.cfg")
+
+    def the_lessons_go_as_they_are_printed(self):
+        self.ok("apt-get", "install", "-y", "g++", "cmake")
+        failed = []
+        for page in sorted(path.name for path in (self.folder / "lessons/docs/tutorials").glob("*.md")):
+            done = self.system.run("python3", "/mnt/lessons/tests/tutorials/page_test.py", f"/mnt/lessons/docs/tutorials/{page}", "--installed", timeout=600)
+            if done.returncode != 0:
+                failed.append(done.stdout)
+        self.assertFalse(failed, "\n".join(failed))
 
     def upgrade_keeps_what_was_changed(self):
         self.ok("sh", "-c", "echo Axon.DrillPeriod=60 >>/etc/axon/server.cfg")

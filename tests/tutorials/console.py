@@ -14,8 +14,8 @@ between two columns, however wide. Comments directly before a block say what els
     <!-- append: PATH -->        the same, at the end of a file that exists
     <!-- types: WORDS -->        is typed where a command asks for a password
     <!-- not run: WHY -->        the block is only shown
-    <!-- needs: COMPONENT, otherwise PATH -->   if this build installs no such component of Axon, the block is left out,
-                                 and PATH is a link to the program of that name of the build
+    <!-- only: packages -->      what a reader types who has installed the packages
+    <!-- only: source -->        what a reader types who has built Axon from its source
 
 A console block without a command is what a terminal has printed in the meantime.
 """
@@ -32,7 +32,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-DIRECTIVE = re.compile(r"^<!-- (?P<key>terminal|stays|until|status|file|append|not run|needs|types)(?:: (?P<value>.*\S))? -->$")
+DIRECTIVE = re.compile(r"^<!-- (?P<key>terminal|stays|until|status|file|append|not run|only|types)(?:: (?P<value>.*\S))? -->$")
 PROMPT = "\x1e"  # no program prints it
 WIDTH = 100
 

@@ -3,10 +3,12 @@
 """Does what a page tells its reader, in terminals, and compares what is printed with what the page shows.
 
     python3 tests/tutorials/page_test.py docs/tutorials/your-first-robot.md --bin build/dev/bin
+    python3 tests/tutorials/page_test.py docs/tutorials/your-first-robot.md --installed
 
 The page runs on a machine of its own: namespaces for network, processes and mounts, so that it has the ports, names and
 processes that it speaks of to itself. Its folder is empty but for the links `examples` and `build/release`, as they are in
-Axon's source. Exit status: 0 all as the page says, 1 something differs, 77 skipped because no namespace can be made.
+Axon's source; with --installed it is empty, and Axon's packages are installed on this machine.
+Exit status: 0 all as the page says, 1 something differs, 77 skipped because no namespace can be made.
 console.py says what a page can say.
 """
 import argparse
@@ -44,31 +46,37 @@ class Machine:
     """Where a page is tried: a folder, an environment, terminals."""
 
     def __init__(self, programs, more=()):
+        """`programs`: the folder of those that were built; None if they are installed."""
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix="axon-page-"))
         home, runtime = self.folder / "home", self.folder / "run"
         self.work = home / "axon"
         for folder in (home, runtime, self.work):
             folder.mkdir(mode=0o700)
-        (self.work / "examples").symlink_to(ROOT / "examples")
-        (self.work / "build").mkdir()
-        (self.work / "build" / "release").symlink_to(programs.parent)
-        path = os.pathsep.join([*map(str, more), str(programs), "/usr/local/bin", "/usr/bin", "/bin", "/usr/sbin", "/sbin"])
-        self.env = {"HOME": str(home), "PATH": path, "XDG_RUNTIME_DIR": str(runtime), "LANG": "C.UTF-8", "USER": "you",
-                    "CMAKE_GENERATOR": "Ninja", "CXXFLAGS": "-O0"}
+        self.kind = "source" if programs else "packages"
+        if programs:
+            (self.work / "examples").symlink_to(ROOT / "examples")
+            (self.work / "build").mkdir()
+            (self.work / "build" / "release").symlink_to(programs.parent)
+            more = [*more, programs]
+        path = os.pathsep.join([*map(str, more), "/usr/local/bin", "/usr/bin", "/bin", "/usr/sbin", "/sbin"])
+        self.env = {"HOME": str(home), "PATH": path, "XDG_RUNTIME_DIR": str(runtime), "LANG": "C.UTF-8", "USER": "you", "CXXFLAGS": "-O0"}
+        if shutil.which("ninja"):
+            self.env["CMAKE_GENERATOR"] = "Ninja"
         self.terminals = {}
         self.programs = programs
 
-    def prepare(self):
-        """What the page about preparing says: the libraries in ~/axon."""
+    def prepare(self, page):
+        """What the page about preparing says, for a lesson: copies of the examples, or libraries in a folder of one's own."""
+        if not self.programs:
+            for block in console.blocks(page.with_name("README.md").read_text(encoding="utf-8")):
+                if block.directives.get("only") == "packages":
+                    carry_out(block, self)
+            return
         prefix = self.work.parent / "axon-prefix"
         for component in ("libaxon-entity-interfacer0", "libaxon-entity-interfacer-dev", "libaxon-client-dev"):
             subprocess.run(["cmake", "--install", self.programs.parent, "--prefix", prefix, "--component", component], check=True,
                            stdout=subprocess.DEVNULL)
         self.env["CMAKE_PREFIX_PATH"] = str(prefix)
-
-    def has(self, component):
-        """Whether the prefix has this component of Axon."""
-        return any(self.work.parent.glob(f"axon-prefix/lib/**/cmake/Axon/Axon{component}Targets.cmake"))
 
     def terminal(self, name):
         if name not in self.terminals:
@@ -92,14 +100,8 @@ def carry_out(block, machine, record=None):
     says = block.directives
     if "not run" in says:
         return
-    if "needs" in says:
-        component, path = re.fullmatch(r"(\w+), otherwise (\S+)", says["needs"]).groups()
-        if not machine.has(component):
-            print(f"line {block.line}: left out: this build installs no component {component}")
-            link = machine.work / path
-            link.parent.mkdir(parents=True, exist_ok=True)
-            link.symlink_to(machine.programs / link.name)
-            return
+    if says.get("only") not in (None, machine.kind):
+        return
     for key in ("file", "append"):
         if key in says:
             machine.write(says[key], block.lines, key == "append")
@@ -186,6 +188,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("page", type=pathlib.Path)
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "dev" / "bin", help="the folder of Axon's programs")
+    parser.add_argument("--installed", action="store_true", help="instead of --bin: Axon's packages are installed")
     parser.add_argument("--path", type=pathlib.Path, action="append", default=[], help="another folder of programs that the page uses")
     parser.add_argument("--record", action="store_true", help="write what is printed into the page, where it differs (for authors: put … where it varies)")
     parser.add_argument("--verbose", action="store_true", help="print every block before it is carried out")
@@ -194,12 +197,12 @@ def main():
         return on_a_machine_of_its_own()
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
     page = options.page.resolve()
-    machine = Machine(options.bin.resolve(), [path.resolve() for path in options.path])
+    machine = Machine(None if options.installed else options.bin.resolve(), [path.resolve() for path in options.path])
     record = {} if options.record else None
     text = page.read_text(encoding="utf-8")
     try:
-        if "find_package" in text:
-            machine.prepare()
+        if page.name != "README.md" and (options.installed or "find_package" in text):
+            machine.prepare(page)
         for block in console.blocks(text):
             if options.verbose:
                 print(f"{options.page}:{block.line}: {block.directives}", *block.lines, sep="\n  ", flush=True)
