@@ -121,7 +121,7 @@ class BareDebian:
                    'mount -t proc proc "$0/proc" && cp -L /etc/resolv.conf "$0/etc/resolv.conf" && mount --bind "$1" "$0/mnt" && root=$0 && shift && exec chroot "$root" "$@"',
                    self.root, self.packages, *words]
         done = subprocess.run(command, env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"},
-                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=900, check=False)
         self.log.write(f"$ {' '.join(map(str, words))}\n{done.stdout}\n")
         self.log.flush()
         return done
