@@ -486,13 +486,13 @@ void Client::Session::onDirect(const Held& held, const std::string& data_endpoin
                                const std::string& signal_endpoint, const std::string& key) {
     const auto connection = connection_.load();
     const auto* const facts = core_.entities().facts(held.entity);
-    const DirectSurroundings around{.wanted = options_.direct,
-                                    .routed = communicators_->routed(),
-                                    .server_tls = !communicators_->routed() &&
-                                                  transport::parseEndpoint(options_.server).tls,
-                                    .has_trust = communicators_->tls() != nullptr,
-                                    .known = facts != nullptr,
-                                    .server = connection ? connection->peer() : std::string()};
+    const DirectSurroundings around{
+        .wanted = options_.direct,
+        .routed = communicators_->routed(),
+        .server_tls = !communicators_->routed() && transport::parseEndpoint(options_.server).tls,
+        .has_trust = communicators_->tls() != nullptr,
+        .known = facts != nullptr,
+        .server = connection ? connection->peer() : std::string()};
     if (!mayOpen(data_endpoint, signal_endpoint, around)) {
         if (direct_.withdraw(held)) threads_.timer.wake();
         return;

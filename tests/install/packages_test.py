@@ -119,7 +119,7 @@ class Packages(Test):
 
     def test_have_the_documentation(self):
         table = subprocess.run(["dpkg-deb", "--contents", DEBS["axon-doc"]], capture_output=True, text=True, check=True).stdout
-        for page in ("index.html", "search.html", "searchindex.js", "licences.txt", "docs/questions.html", "docs/tutorials/your-first-robot.html"):
+        for page in ("index.html", "search.html", "searchindex.js", "licences.txt", *(f"docs/{name}.html" for name in ("questions", "tutorials/your-first-robot"))):
             self.assertIn(f" {PAGES}{page}\n", table)
 
     def test_are_the_expected_ones_of_one_version(self):
@@ -202,7 +202,7 @@ class BareSystem(Test):
             done = self.system.run(program, "--help")
             self.assertEqual(done.returncode, 0, done.stdout)
             self.assertIn(program, done.stdout)
-        self.assertIn("/usr/share/doc/axon/html/docs/questions.html", self.ok("axon", "docs", "--path", "docs/questions.md"))
+        self.assertIn(f"{PAGES[1:]}docs", self.ok("axon", "docs", "--path", "docs/questions.md"))
 
     def units_are_sound(self):
         for unit in ("axon-server.service", "axon-entity-manager@Greeter.service"):

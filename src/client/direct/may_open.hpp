@@ -9,12 +9,12 @@ namespace axon::client {
 
 /// What decides whether a client uses the direct path that a grant offers.
 struct DirectSurroundings {
-    bool wanted = true;      ///< Options::direct
-    bool routed = false;     ///< the server is reached through a router
-    bool server_tls = false; ///< the server is reached over TLS
-    bool has_trust = false;  ///< there is something to check an entity's certificate with
-    bool known = true;       ///< the entity is in the list, so its name is known
-    std::string server;      ///< the server's address, "host:port"; empty: not known
+    bool wanted = true;       ///< Options::direct
+    bool routed = false;      ///< the server is reached through a router
+    bool server_tls = false;  ///< the server is reached over TLS
+    bool has_trust = false;   ///< there is something to check an entity's certificate with
+    bool known = true;        ///< the entity is in the list, so its name is known
+    std::string server;       ///< the server's address, "host:port"; empty: not known
 };
 
 /// Whether a direct path to these endpoints ("host:port" or "ssl://host:port") may be opened
