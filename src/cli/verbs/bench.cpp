@@ -34,8 +34,8 @@ int bench(Session& session) {
     ::signal(SIGPIPE, SIG_IGN);
     return misused(
         session, "cannot run " + program.string() + ": " + std::strerror(error),
-        "the benchmark is not installed with the command: build it from the sources with ./check, or "
-        "with libmosquitto-dev installed and ninja -C build/release axon-bench, and run axon bench "
+        "install the package axon-tools, which has the benchmark; or build it from the sources with ./check, "
+        "or with libmosquitto-dev installed and ninja -C build/release axon-bench, and run axon bench "
         "from that folder");
 }
 
