@@ -9,6 +9,10 @@ include(CMakePackageConfigHelpers)
 set(cmake_files "${CMAKE_INSTALL_LIBDIR}/cmake/Axon")
 set(packages)
 add_custom_target(installed_programs) # whatever the packages contain
+get_property(python_programs GLOBAL PROPERTY axon_python_programs)
+if(python_programs)
+  add_dependencies(installed_programs ${python_programs})
+endif()
 
 # axon_install_programs(axon-lab axon-cyton hello-entity): those of these that this build has, for package axon-lab
 function(axon_install_programs package)

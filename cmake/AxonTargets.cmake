@@ -44,6 +44,7 @@ function(axon_python_program name)
     DEPENDS ${P_MODULES} "${packer}" VERBATIM COMMENT "Packing ${name}")
   add_custom_target(${name} ALL DEPENDS "${program}")
   install(PROGRAMS "${program}" DESTINATION "${CMAKE_INSTALL_BINDIR}" COMPONENT ${P_PACKAGE})
+  set_property(GLOBAL APPEND PROPERTY axon_python_programs ${name}) # AxonInstall.cmake, which comes later, installs them
 endfunction()
 
 # axon_test(common_test LABEL unit SOURCES a_test.cpp LINK axon_common)

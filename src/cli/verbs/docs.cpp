@@ -66,8 +66,8 @@ int docs(Session& session) {
     if (!found)
         return misused(
             session, "the documentation is not installed with this program",
-            "build the pages from the sources with tools/make_docs, and run axon docs from that build or "
-            "after cmake --install; the same texts are in the folder docs of the sources");
+            "install the package axon-doc, or build the pages from the sources with tools/make_docs; "
+            "the same texts are in the folder docs of the sources");
     const bool open = !session.args.value("path", false) && hasDisplay();
     const int error = open ? show(found->string()) : 0;
     session.events.emit({{"event", "line"}, {"text", found->string()}});
