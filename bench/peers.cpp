@@ -602,7 +602,7 @@ Experiment declarePeers(CLI::App& app) {
             "How long the threads that read direct paths may spin before they sleep, at both ends, in "
             "microseconds; 0 = not [" +
                 std::to_string(wish->spin) + "]")
-        ->check(CLI::Range(0, 50).description(""))
+        ->check(CLI::Range(0, 250).description(""))
         ->type_name("US");
     command
         ->add_option(

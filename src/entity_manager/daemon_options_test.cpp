@@ -57,13 +57,13 @@ TEST_F(DaemonOptionsTest, DirectPathsAreOfferedUnlessSwitchedOff) {
     EXPECT_EQ(both.ports.last, 10431);
 }
 
-TEST_F(DaemonOptionsTest, TheReaderOfDirectPathsSpinsForAtMostFiftyMicroseconds) {
+TEST_F(DaemonOptionsTest, TheReaderOfDirectPathsSpinsForAtMostAQuarterOfAMillisecond) {
     using namespace std::chrono_literals;
     EXPECT_EQ(read("Axon.Direct.Spin=0").direct.spin, 0us);
-    EXPECT_EQ(read("Axon.Direct.Spin=50\nAxon.Direct=192.168.0.7").direct.spin, 50us);
-    for (const auto* wrong : {"51", "-1", "on"})
+    EXPECT_EQ(read("Axon.Direct.Spin=250\nAxon.Direct=192.168.0.7").direct.spin, 250us);
+    for (const auto* wrong : {"251", "-1", "on"})
         EXPECT_THAT(refusal(std::string("Axon.Direct.Spin=") + wrong),
-                    HasSubstr("Axon.Direct.Spin: expected a whole number from 0 to 50"))
+                    HasSubstr("Axon.Direct.Spin: expected a whole number from 0 to 250"))
             << wrong;
 }
 

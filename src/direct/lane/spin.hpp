@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <sched.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -10,8 +10,9 @@
 
 namespace axon::direct::lane {
 
-/// The longest spin that can be set.
-inline constexpr std::chrono::microseconds kSpinMost{50};
+/// The longest spin that can be set: more than it takes until a peer that slept on another core has answered,
+/// which is how two ends that spin come to find each other awake (ADR 0031).
+inline constexpr std::chrono::microseconds kSpinMost{250};
 
 /// How long a thread that waits for messages may spin, which is to look for the next one without sleeping.
 ///
@@ -58,8 +59,8 @@ class SpinBudget {
     TimePoint began_{};                     // the wait; none yet
 };
 
-/// Spins for one thread, as its SpinBudget permits, while no other thread of the process does. Never if the
-/// thread that made it may use only one core, because then its peer has to wait for that core.
+/// Spins for one thread, as its SpinBudget permits, while no other thread of the process does. Never on a
+/// machine with one core, because then its peer has to wait for that core.
 ///
 ///     for (;;) {
 ///         if (spinner.spin([&] { return look(); })) continue;  // look() has found and handled something
@@ -71,9 +72,9 @@ class SpinBudget {
 /// have another clock. Threads: the one that made it.
 class Spinner {
   public:
-    explicit Spinner(Duration longest, const Clock& clock = steady())
+    explicit Spinner(Duration longest, const Clock& clock = steady(), long cores = coresOfMachine())
         : clock_(clock),
-          longest_(cores() < 2 ? Duration{} : std::clamp<Duration>(longest, Duration{}, kSpinMost)),
+          longest_(cores < 2 ? Duration{} : std::clamp<Duration>(longest, Duration{}, kSpinMost)),
           budget_(longest_) {}
 
     /// It may spin at times. If not, the other functions need not be called.
@@ -104,11 +105,7 @@ class Spinner {
     /// The wait is over, after sleep.
     void came() { budget_.came(clock_.now()); }
 
-    /// How many cores the calling thread may use.
-    static int cores() {
-        cpu_set_t set;
-        return ::sched_getaffinity(0, sizeof set, &set) == 0 ? CPU_COUNT(&set) : 1;
-    }
+    static long coresOfMachine() { return ::sysconf(_SC_NPROCESSORS_ONLN); }
 
   private:
     static std::atomic_flag& occupied() {
