@@ -137,12 +137,9 @@ TEST(SpinBudget, InVainIsNeverMoreThanItsShareAndWhatHelped) {
 
 class SpinnerTest : public ::testing::Test {
   protected:
-    void SetUp() override {
-        if (Spinner::cores() < 2) GTEST_SKIP() << "this process may use one core, where nothing spins";
-    }
     /// Has waited for a short time, and so may spin.
     std::unique_ptr<Spinner> warm() {
-        auto spinner = std::make_unique<Spinner>(kLongest, clock);
+        auto spinner = std::make_unique<Spinner>(kLongest, clock, 2);
         EXPECT_TRUE(spinner->spins());
         EXPECT_FALSE(spinner->spin([] { return true; }));
         spinner->came();
