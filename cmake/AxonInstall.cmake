@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 # What is installed. A component is a Debian package of that name (deploy/debian):
-#   libaxon-entity-interfacer0, libaxon-entity-interfacer-dev  MIT: what a robot developer needs
-#   libaxon-client-dev                                         what the programmer of a client needs
+#   libaxon-entity-interfacer0, libaxon-entity-interfacer-dev  MIT: what a robot developer needs, tests included
+#   libaxon-client-dev                                         what the programmer of a client needs, tests included
 #   axon, axon-server, axon-entity-manager, axon-lab, axon-tools  programs
 #   axon-doc                                                  the documentation site
 # cmake --install BUILD --prefix DIR [--component NAME]
@@ -36,6 +36,13 @@ configure_package_config_file("${CMAKE_CURRENT_LIST_DIR}/AxonConfig.cmake.in" "$
 write_basic_package_version_file("${PROJECT_BINARY_DIR}/AxonConfigVersion.cmake" COMPATIBILITY SameMinorVersion)
 install(FILES "${PROJECT_BINARY_DIR}/AxonConfig.cmake" "${PROJECT_BINARY_DIR}/AxonConfigVersion.cmake"
   DESTINATION "${cmake_files}" COMPONENT libaxon-entity-interfacer-dev)
+# Its tests: a package of its own would have one library and three headers (ADR 0036).
+add_dependencies(installed_programs axon_testing_entity)
+install(TARGETS axon_testing_entity EXPORT AxonTestingEntityTargets
+  LIBRARY COMPONENT libaxon-entity-interfacer-dev NAMELINK_COMPONENT libaxon-entity-interfacer-dev
+  FILE_SET HEADERS COMPONENT libaxon-entity-interfacer-dev)
+install(EXPORT AxonTestingEntityTargets NAMESPACE Axon:: DESTINATION "${cmake_files}" COMPONENT libaxon-entity-interfacer-dev)
+install(FILES "${CMAKE_CURRENT_LIST_DIR}/AxonTesting.cmake" DESTINATION "${cmake_files}" COMPONENT libaxon-entity-interfacer-dev)
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/api/schema" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT libaxon-entity-interfacer-dev
   FILES_MATCHING PATTERN "*.xsd" PATTERN samples EXCLUDE)
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/libaxon-entity-interfacer-dev/examples"
@@ -55,6 +62,17 @@ if(AXON_ICE)
   foreach(headers src/client/axon src/common/axon)
     install(DIRECTORY "${PROJECT_SOURCE_DIR}/${headers}" DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" COMPONENT libaxon-client-dev)
   endforeach()
+
+  # Tests of clients: the servers and Entity Managers as a library.
+  set(testing_parts axon_back_end axon_entity_manager axon_entity_manager_core axon_entity_server axon_entity_server_core
+    axon_front_end_server axon_front_end_server_core axon_global_services axon_server axon_users)
+  add_dependencies(installed_programs axon_testing_client)
+  set_target_properties(axon_testing_client PROPERTIES EXPORT_NAME testing_client)
+  install(TARGETS axon_testing_client EXPORT AxonTestingClientTargets ARCHIVE COMPONENT libaxon-client-dev
+    INCLUDES DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}")
+  install(TARGETS ${testing_parts} EXPORT AxonTestingClientTargets ARCHIVE DESTINATION "${CMAKE_INSTALL_LIBDIR}/axon" COMPONENT libaxon-client-dev)
+  install(EXPORT AxonTestingClientTargets NAMESPACE Axon:: DESTINATION "${cmake_files}" COMPONENT libaxon-client-dev)
+  install(DIRECTORY "${PROJECT_SOURCE_DIR}/src/testing/client/axon" DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" COMPONENT libaxon-client-dev)
 
   # The command and the daemons.
   list(APPEND packages axon axon-server axon-entity-manager)

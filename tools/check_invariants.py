@@ -16,12 +16,15 @@ CODE = (".cpp", ".hpp", ".h", ".c")
 SPDX_FILES = CODE + (".proto", ".ice", ".py", ".cmake", ".sh")
 SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__", "LICENSES"}
 ROOTS = ("api", "bench", "cmake", "console", "examples", "faults", "lab", "python", "robots", "simulation", "src", "tests", "tools", ".ci")
-MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entity_interfacer/*", "src/cli/init/*", "examples/*")
+MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entity_interfacer/*", "src/cli/init/*", "src/testing/entity/*", "cmake/AxonTesting.cmake", "examples/*")
 
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")
 EI_PUBLIC = ("src/entity_interfacer/axon/*.hpp",)
 # What a program that links the client library includes, and what that says refusals and states by.
 CLIENT_PUBLIC = ("src/client/axon/*.hpp", "src/common/axon/*.hpp", "src/common/axon/*.def")
+# What a test of another project includes, of a robot application and of a client.
+TESTING_ENTITY_PUBLIC = ("src/testing/entity/axon/testing/*.hpp",)
+TESTING_CLIENT_PUBLIC = ("src/testing/client/axon/testing/*.hpp",)
 
 # Where Ice may be seen (invariant 8). Every other file talks to it through src/transport.
 ICE_ALLOWED = (
@@ -146,7 +149,7 @@ class Tree:
 
     def resolve(self, path, header):
         """The file of this tree that a quoted include means, or None."""
-        for base in ("src", "", os.path.dirname(path), "src/entity_interfacer", "src/client", "src/common", "robots", "lab"):
+        for base in ("src", "", os.path.dirname(path), "src/entity_interfacer", "src/client", "src/common", "src/testing/entity", "src/testing/client", "robots", "lab"):
             candidate = os.path.normpath(os.path.join(base, header)).replace(os.sep, "/")
             if candidate in self._set():
                 return candidate
@@ -191,13 +194,13 @@ def rule_servers_without_protobuf(tree):
                     yield path, number, "1 a server links protobuf code", "take the library out of the LINK list"
 
 
-def public_headers(tree, headers, whose, remedy):
+def public_headers(tree, headers, whose, remedy, also=()):
     for path in tree.code():
         if not matches(path, headers):
             continue
         for line, header, quoted in tree.includes(path):
             own = (tree.resolve(path, header) or "") if quoted else ""
-            if header not in STANDARD_HEADERS and not matches(own, headers):
+            if header not in STANDARD_HEADERS and not matches(own, headers + also):
                 yield path, line, f"2 a public header of {whose} includes {header}", remedy
 
 
@@ -209,6 +212,12 @@ def rule_entity_interfacer_headers(tree):
 def rule_client_headers(tree):
     yield from public_headers(tree, CLIENT_PUBLIC, "the client library",
         "say it with a type of axon/types.hpp, or keep it behind Shared and Session; only the C++ standard library and axon/*.hpp may be seen")
+
+
+def rule_testing_headers(tree):
+    remedy = "move it behind the pimpl; only the C++ standard library and public headers of Axon may be seen"
+    yield from public_headers(tree, TESTING_ENTITY_PUBLIC, "the testing libraries", remedy, EI_PUBLIC)
+    yield from public_headers(tree, TESTING_CLIENT_PUBLIC, "the testing libraries", remedy, CLIENT_PUBLIC + TESTING_ENTITY_PUBLIC)
 
 
 def rule_no_sleep_in_tests(tree):
@@ -328,6 +337,7 @@ RULES = (
     rule_servers_without_protobuf,
     rule_entity_interfacer_headers,
     rule_client_headers,
+    rule_testing_headers,
     rule_no_sleep_in_tests,
     rule_no_singletons,
     rule_ice_in_its_place,

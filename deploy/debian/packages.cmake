@@ -82,12 +82,14 @@ This package has the shared library that robot applications are linked with.")
 debian_package(libaxon-entity-interfacer-dev libdevel DESCRIPTION "library that connects a robot application with Axon: development
 ${about}
 This package has the header files, the XML Schemas of the profiles, the files
-for find_package(Axon) of CMake, and examples."
+for find_package(Axon) of CMake, examples, and a library to test robot
+applications without servers."
   DEPENDS "libaxon-entity-interfacer${CPACK_AXON_SOVERSION} ${same}" SUGGESTS "axon-server ${same}" "axon-entity-manager ${same}" cmake)
 # The static library needs what AxonClient.cmake looks for.
 debian_package(libaxon-client-dev libdevel DESCRIPTION "library for programs that use the robots of an Axon laboratory
 ${about}
 This package has the header files and the static library of the client, for
-find_package(Axon COMPONENTS Client) of CMake."
+find_package(Axon COMPONENTS Client) of CMake, and a library to test programs
+without robots."
   DEPENDS "libaxon-entity-interfacer-dev ${same}" libgnutls28-dev libprotobuf-dev libsodium-dev libspdlog-dev libxml2-dev libzeroc-ice-dev pkg-config
   SUGGESTS cmake)

@@ -40,6 +40,17 @@ if [ "$what" = entity-interfacer ]; then
     wait "$entity" || true
     cat "$work/log"
     grep -q 'waits for its Entity Manager' "$work/log"
+
+    # A test of a robot application needs neither Ice nor anything else of the client, whatever is installed beside it.
+    cp -r "$source/examples/07_test_a_robot" "$work/robot"
+    sed -i 's/Axon::testing_entity)$/Axon::testing)/' "$work/robot/CMakeLists.txt"
+    configure "$work/robot" >/dev/null
+    cmake --build "$work/build"
+    ctest --test-dir "$work/build" --output-on-failure
+    if ldd "$work/build/rover-test" | grep -E 'libIce|libGlacier2|gnutls|sodium'; then
+        echo "a test of a robot application links what the client needs" >&2
+        exit 1
+    fi
 else
     mkdir "$work/client"
     cp "$source/tests/install/client_user.cpp" "$work/client"
@@ -66,4 +77,10 @@ TEXT
     test "$(cat "$work/build/includes")" = "$work/prefix/include"
     "$work/build/client-user" | tee "$work/log"
     grep -q '127.0.0.1:1' "$work/log"
+
+    cp -r "$source/examples/08_test_a_program" "$work/program"
+    sed -i 's/Axon::testing_client)$/Axon::testing)/' "$work/program/CMakeLists.txt"
+    configure "$work/program" >/dev/null
+    cmake --build "$work/build"
+    ctest --test-dir "$work/build" --output-on-failure
 fi
