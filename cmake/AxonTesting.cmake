@@ -12,6 +12,10 @@ if("EntityInterfacer" IN_LIST _axon_components OR NOT "Client" IN_LIST _axon_com
 endif()
 if("Client" IN_LIST _axon_components AND EXISTS "${CMAKE_CURRENT_LIST_DIR}/AxonTestingClientTargets.cmake")
   include("${CMAKE_CURRENT_LIST_DIR}/AxonClient.cmake")
-  include("${CMAKE_CURRENT_LIST_DIR}/AxonTestingClientTargets.cmake")
-  set_property(TARGET Axon::testing APPEND PROPERTY INTERFACE_LINK_LIBRARIES Axon::testing_client)
+  if(TARGET Axon::client)
+    include("${CMAKE_CURRENT_LIST_DIR}/AxonTestingClientTargets.cmake")
+    set_property(TARGET Axon::testing APPEND PROPERTY INTERFACE_LINK_LIBRARIES Axon::testing_client)
+  else()
+    set(Axon_Testing_FOUND FALSE) # AxonClient.cmake says what is missing
+  endif()
 endif()
