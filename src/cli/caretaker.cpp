@@ -2,28 +2,19 @@
 #include "cli/caretaker.hpp"
 
 #include <fcntl.h>
-#include <spawn.h>
 #include <sys/stat.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <cstdlib>
 #include <set>
-#include <thread>
 
 #include "cli/table.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
 #include "common/descriptor.hpp"
 
-extern char** environ;
-
 namespace axon::cli {
 namespace {
-
-constexpr const char* kOfDesktop[] = {"DISPLAY", "WAYLAND_DISPLAY", "XAUTHORITY", "DBUS_SESSION_BUS_ADDRESS",
-                                      "XDG_RUNTIME_DIR"};
 
 void tellTerminal(const std::string& path, const std::string& text) {
     const Descriptor terminal(::open(path.c_str(), O_WRONLY | O_NOCTTY | O_NONBLOCK | O_CLOEXEC));
@@ -36,31 +27,8 @@ void tellTerminal(const std::string& path, const std::string& text) {
     static_cast<void>(::write(terminal.get(), message.data(), message.size()) > 0);
 }
 
-void tellDesktop(const std::vector<std::string>& variables, const std::string& text) {
-    std::vector<std::string> words{"notify-send", "--app-name=axon", "--urgency=critical", "--", "Axon",
-                                   text};
-    std::vector<std::string> environment = variables;
-    for (char** variable = environ; *variable != nullptr; ++variable) {
-        const std::string_view one = *variable;
-        const auto name = one.substr(0, one.find('=') + 1);
-        const bool told = std::any_of(variables.begin(), variables.end(),
-                                      [&](const std::string& other) { return other.starts_with(name); });
-        if (!told && !one.starts_with("AXON_PASSWORD")) environment.emplace_back(one);
-    }
-    const auto pointers = [](std::vector<std::string>& texts) {
-        std::vector<char*> list;
-        for (auto& one : texts) list.push_back(one.data());
-        list.push_back(nullptr);
-        return list;
-    };
-    pid_t child = 0;
-    if (::posix_spawnp(&child, "notify-send", nullptr, nullptr, pointers(words).data(),
-                       pointers(environment).data()) != 0)
-        return;
-    std::thread([child] {
-        int status = 0;
-        ::waitpid(child, &status, 0);
-    }).detach();
+void tellDesktop(const Desktop& desktop, const std::string& text) {
+    desktop.start({"notify-send", "--app-name=axon", "--urgency=critical", "--", "Axon", text});
 }
 
 }  // namespace
@@ -90,14 +58,8 @@ Json reachableAt() {
         if (where.contains("terminal") || ::ttyname_r(fd, name, sizeof name) != 0) continue;
         where["terminal"] = name;
     }
-    Json environment = Json::object();
-    for (const auto* name : kOfDesktop) {
-        const char* value = std::getenv(name);
-        if (value != nullptr && *value != '\0') environment[name] = value;
-    }
-    const bool desktop = environment.contains("DISPLAY") || environment.contains("WAYLAND_DISPLAY") ||
-                         environment.contains("DBUS_SESSION_BUS_ADDRESS");
-    if (desktop) where["environment"] = std::move(environment);
+    if (const auto desktop = Desktop::here(); desktop.takesNotifications())
+        where["environment"] = desktop.json();
     return where;
 }
 
@@ -105,11 +67,7 @@ void Notifier::aim(const Json& where) {
     const std::lock_guard lock(mutex_);
     aimed_ = true;
     terminal_ = where.value("terminal", "");
-    environment_.clear();
-    const auto variables = where.value("environment", Json::object());
-    for (const auto* name : kOfDesktop)
-        if (variables.contains(name) && variables[name].is_string())
-            environment_.push_back(std::string(name) + "=" + variables[name].get<std::string>());
+    desktop_ = Desktop::of(where.value("environment", Json::object()));
 }
 
 bool Notifier::aimed() const {
@@ -119,16 +77,16 @@ bool Notifier::aimed() const {
 
 void Notifier::tell(const std::string& text) const {
     std::string terminal;
-    std::vector<std::string> environment;
+    Desktop desktop;
     {
         const std::lock_guard lock(mutex_);
         if (!aimed_) return;
         terminal = terminal_;
-        environment = environment_;
+        desktop = desktop_;
     }
     const auto harmless = printable(text);
     if (!terminal.empty()) tellTerminal(terminal, harmless);
-    if (!environment.empty()) tellDesktop(environment, harmless);
+    if (desktop.takesNotifications()) tellDesktop(desktop, harmless);
 }
 
 void RequestWatch::follow(Station& station) {

@@ -6,8 +6,8 @@
 #include <memory>
 #include <mutex>
 #include <string>
-#include <vector>
 
+#include "cli/desktop.hpp"
 #include "cli/session.hpp"
 #include "common/clock.hpp"
 
@@ -52,7 +52,7 @@ class Notifier {
     mutable std::mutex mutex_;
     // guarded by mutex_
     std::string terminal_;
-    std::vector<std::string> environment_;  ///< NAME=VALUE
+    Desktop desktop_;
     bool aimed_ = false;
 };
 

@@ -22,6 +22,7 @@
 #include "cli/agent_link.hpp"
 #include "cli/caretaker.hpp"
 #include "cli/common_options.hpp"
+#include "cli/desktop.hpp"
 #include "cli/holding.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
@@ -168,37 +169,6 @@ int statusOf(int wait_status) {
     return kRefused;
 }
 
-/// A child with the signals as a fresh program expects them: ours are blocked and taken by a thread.
-class SpawnAttributes {
-  public:
-    explicit SpawnAttributes(short extra_flags) {
-        ::posix_spawnattr_init(&attributes_);
-        sigset_t none;
-        sigset_t all;
-        ::sigemptyset(&none);
-        ::sigemptyset(&all);
-        for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT}) ::sigaddset(&all, signal);
-        ::posix_spawnattr_setsigmask(&attributes_, &none);
-        ::posix_spawnattr_setsigdefault(&attributes_, &all);
-        ::posix_spawnattr_setflags(
-            &attributes_, static_cast<short>(POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | extra_flags));
-    }
-    ~SpawnAttributes() { ::posix_spawnattr_destroy(&attributes_); }
-    SpawnAttributes(const SpawnAttributes&) = delete;
-    SpawnAttributes& operator=(const SpawnAttributes&) = delete;
-    const posix_spawnattr_t* get() const { return &attributes_; }
-
-  private:
-    posix_spawnattr_t attributes_{};
-};
-
-std::vector<char*> pointersTo(std::vector<std::string>& words) {
-    std::vector<char*> pointers;
-    for (auto& word : words) pointers.push_back(word.data());
-    pointers.push_back(nullptr);
-    return pointers;
-}
-
 /// Starts the agent and waits until it says that it serves; its refusal to a person otherwise.
 std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place) {
     int ends[2];
@@ -219,10 +189,7 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
     const SpawnAttributes attributes(POSIX_SPAWN_SETSID);
     pid_t child = 0;
     // Only this user may read the environment of a process; of its command line that is not so.
-    std::vector<std::string> variables;
-    for (char** variable = environ; *variable != nullptr; ++variable) {
-        if (std::string_view(*variable).rfind("AXON_PASSWORD", 0) != 0) variables.emplace_back(*variable);
-    }
+    auto variables = environmentWithoutPassword();
     if (!settings.password.empty()) variables.push_back("AXON_PASSWORD=" + settings.password);
     auto environment = pointersTo(variables);
     const int failed = ::posix_spawn(&child, "/proc/self/exe", &actions, attributes.get(), pointers.data(),
@@ -559,7 +526,7 @@ int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command
     if (!settings_.config.empty()) ::setenv("AXON_CONFIG", settings_.config.c_str(), 1);
     auto words = command;
     auto pointers = pointersTo(words);
-    const SpawnAttributes attributes(0);
+    const SpawnAttributes attributes;
     pid_t child = 0;
     int exit = kDone;
     if (const int failed = ::posix_spawnp(&child, words.front().c_str(), nullptr, attributes.get(),

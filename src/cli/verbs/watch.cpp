@@ -1,17 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include <spawn.h>
-#include <sys/wait.h>
-
 #include <cstdlib>
 #include <filesystem>
-#include <thread>
 
 #include "cli/agent_link.hpp"
+#include "cli/desktop.hpp"
 #include "cli/frames.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
-
-extern char** environ;
 
 // axon watch
 namespace axon::cli {
@@ -32,25 +27,6 @@ Json sampleEvent(const std::string& entity, const Sample& sample) {
     }
     event["sample"] = std::move(content);
     return event;
-}
-
-/// Opens the file with what this user opens such files with, where there is a desktop. Whether that began.
-bool openOnDesktop(const std::string& file) {
-    const auto isSet = [](const char* name) {
-        const char* value = std::getenv(name);
-        return value != nullptr && *value != '\0';
-    };
-    if (!isSet("DISPLAY") && !isSet("WAYLAND_DISPLAY")) return false;
-    std::string program = "xdg-open";
-    auto argument = file;
-    char* words[] = {program.data(), argument.data(), nullptr};
-    pid_t child = 0;
-    if (::posix_spawnp(&child, program.c_str(), nullptr, nullptr, words, environ) != 0) return false;
-    std::thread([child] {
-        int status = 0;
-        ::waitpid(child, &status, 0);
-    }).detach();
-    return true;
 }
 
 /// Where the pictures of a stream go: to a file, and to a page that shows it.
@@ -108,7 +84,7 @@ Result<std::optional<PictureFile>> pictureFile(Session& session, const std::stri
         const auto page = folder.value() / "index.html";
         if (const auto made = replaceFile(page, viewerPage(call + " " + stream, picture.string())); !made)
             return made.refusal();
-        const bool opened = openOnDesktop(page.string());
+        const bool opened = Desktop::of(session.args.value("desktop", Json())).open(page.string());
         session.events.emit({{"event", "viewing"}, {"file", page.string()}, {"opened", opened}});
         return std::optional(PictureFile(picture));
     }
@@ -117,13 +93,15 @@ Result<std::optional<PictureFile>> pictureFile(Session& session, const std::stri
     return std::optional<PictureFile>();
 }
 
-/// An absolute path: the verb may run in the agent, whose folder is another one.
+/// An absolute path, and the desktop of whoever typed this: the verb may run in the agent, whose folder and
+/// desktop are others.
 std::string prepareWatch(Json& args) {
     const bool pictures = args.contains("save") || args.value("view", false);
     if (pictures && args.value("streams", std::vector<std::string>{}).size() != 1)
         return "--save and --view need the name of one stream, such as camera";
     if (args.contains("save"))
         args["save"] = std::filesystem::absolute(args.at("save").get<std::string>()).string();
+    if (args.value("view", false)) args["desktop"] = Desktop::here().json();
     return {};
 }
 
