@@ -27,8 +27,33 @@ void tellTerminal(const std::string& path, const std::string& text) {
     static_cast<void>(::write(terminal.get(), message.data(), message.size()) > 0);
 }
 
+/// Desktops read a part of HTML in a notification, and notify-send takes \n and its kind for itself; the text
+/// has names and reasons that others chose.
+std::string asText(const std::string& text) {
+    std::string escaped;
+    for (const char c : text) {
+        switch (c) {
+            case '&':
+                escaped += "&amp;";
+                break;
+            case '<':
+                escaped += "&lt;";
+                break;
+            case '>':
+                escaped += "&gt;";
+                break;
+            case '\\':
+                escaped += "\\\\";
+                break;
+            default:
+                escaped += c;
+        }
+    }
+    return escaped;
+}
+
 void tellDesktop(const Desktop& desktop, const std::string& text) {
-    desktop.start({"notify-send", "--app-name=axon", "--urgency=critical", "--", "Axon", text});
+    desktop.start({"notify-send", "--app-name=axon", "--urgency=critical", "--", "Axon", asText(text)});
 }
 
 }  // namespace

@@ -122,8 +122,9 @@ TEST_F(Told, TheDesktopIsToldByNotifySendWhereThereIsOne) {
     std::filesystem::remove_all(folder);
     std::filesystem::create_directories(folder);
     const auto program = folder / "notify-send";
-    std::ofstream(program) << "#!/bin/sh\nfor last; do :; done\necho \"$DISPLAY $last\" >\"$0.part\"\nmv "
-                              "\"$0.part\" \"$0.said\"\n";
+    std::ofstream(program)
+        << "#!/bin/sh\nfor last; do :; done\nprintf '%s\\n' \"$DISPLAY $last\" >\"$0.part\"\nmv "
+           "\"$0.part\" \"$0.said\"\n";
     std::filesystem::permissions(program, std::filesystem::perms::owner_all);
     const std::string path = ::getenv("PATH");
     ASSERT_EQ(::setenv("PATH", (folder.string() + ":" + path).c_str(), 1), 0);
@@ -132,6 +133,14 @@ TEST_F(Told, TheDesktopIsToldByNotifySendWhereThereIsOne) {
     EXPECT_TRUE(test::waitUntil([&] { return std::filesystem::exists(folder / "notify-send.said"); }));
     std::ifstream said(folder / "notify-send.said");
     EXPECT_EQ(std::string(std::istreambuf_iterator<char>(said), {}), ":7 hello\n");
+    said.close();
+    std::filesystem::remove(folder / "notify-send.said");
+    // What another client wrote is shown as it is, and is no markup.
+    notifier->tell(R"(eve asks: <b>now</b> <a href="x">&</a> \n\x1b)");
+    EXPECT_TRUE(test::waitUntil([&] { return std::filesystem::exists(folder / "notify-send.said"); }));
+    said.open(folder / "notify-send.said");
+    EXPECT_EQ(std::string(std::istreambuf_iterator<char>(said), {}),
+              ":7 eve asks: &lt;b&gt;now&lt;/b&gt; &lt;a href=\"x\"&gt;&amp;&lt;/a&gt; \\\\n\\\\x1b\n");
     ASSERT_EQ(::setenv("PATH", path.c_str(), 1), 0);
     std::filesystem::remove_all(folder);
 }
