@@ -62,8 +62,15 @@ IdleWatch::Says IdleWatch::look(TimePoint now, bool used) {
     const auto limit = Seconds(limit_s_);
     if (used || limit.count() <= 0) {
         used_at_ = now;
+        again_at_.reset();
         warned_ = false;
         return Says::Nothing;
+    }
+    if (again_at_) {
+        if (now < *again_at_) return Says::Nothing;
+        again_at_.reset();
+        used_at_ = now;
+        return Says::Release;
     }
     const Seconds unused = now - used_at_;
     if (unused >= limit) {
@@ -112,6 +119,53 @@ void Notifier::tell(const std::string& text) const {
     const auto harmless = printable(text);
     if (!terminal.empty()) tellTerminal(terminal, harmless);
     if (desktop.takesNotifications()) tellDesktop(desktop, harmless);
+}
+
+bool isBusy(const Station& station) {
+    const auto tasks = station.tasks().list;
+    const auto runs = station.runs();
+    return std::any_of(tasks.begin(), tasks.end(),
+                       [](const KeptTask& task) { return !client::isFinal(task.report.state); }) ||
+           std::any_of(runs.begin(), runs.end(),
+                       [](const RunReport& run) { return !client::isFinal(run.state); });
+}
+
+bool giveBackUnused(Station& station, IdleWatch& idle, const Notifier& notifier,
+                    const std::function<void(const std::string&)>& log, TimePoint now, bool used) {
+    const auto held = station.held();
+    const auto says = idle.look(now, used || held.empty() || isBusy(station));
+    if (says == IdleWatch::Says::Nothing) return false;
+    const auto all = station.entities();
+    std::string names;
+    const auto add = [&](const Entity& entity) {
+        names += (names.empty() ? "" : ", ") + callName(entity, all);
+    };
+    const auto say = [&](const std::string& text) {
+        log(text);
+        notifier.tell(text);
+    };
+    if (says == IdleWatch::Says::Warn) {
+        for (const auto& entity : held) add(entity);
+        say(names + " is checked out and not used: it is released in " + duration(idle.warning().count()) +
+            ", unless an axon command uses the check-out, such as axon agent status");
+        return false;
+    }
+    const auto unused = duration(idle.limit().count());
+    const Refusal why{RefusalCode::Expired, "it was released because nobody used it for " + unused, {}};
+    bool any_refused = false;
+    for (const auto& entity : held) {
+        if (const auto done = station.giveBack(entity.id, why); done) {
+            add(entity);
+        } else {
+            any_refused = true;
+            log("cannot release " + callName(entity, all) + ": " + done.refusal().message +
+                "; it is tried again in a minute");
+        }
+    }
+    if (any_refused) idle.refused(now);
+    if (names.empty()) return false;
+    say(names + " was released: it was not used for " + unused);
+    return true;
 }
 
 void RequestWatch::follow(Station& station) {

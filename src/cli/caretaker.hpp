@@ -2,9 +2,11 @@
 #pragma once
 #include <algorithm>
 #include <atomic>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 
 #include "cli/desktop.hpp"
@@ -28,10 +30,15 @@ class IdleWatch {
     Seconds warning() const { return std::min(Seconds(300), limit() / 2); }
     /// Warn comes once for each time of disuse.
     Says look(TimePoint now, bool used);
+    /// After Release: it could not be given back. look() says Release again a minute later.
+    void refused(TimePoint now) { again_at_ = now + kAgain; }
 
   private:
+    static constexpr Duration kAgain = std::chrono::minutes{1};
+
     std::atomic<double> limit_s_{kDefault.count()};
     TimePoint used_at_;
+    std::optional<TimePoint> again_at_;
     bool warned_ = false;
 };
 
@@ -54,6 +61,29 @@ class Notifier {
     std::string terminal_;
     Desktop desktop_;
     bool aimed_ = false;
+};
+
+/// Whether a task or a run of a global service that was asked for here is not over.
+bool isBusy(const Station& station);
+
+/// Warns of the end of a check-out that nobody uses, and ends it; Station::lost() says why afterwards. A
+/// release that is refused is logged, and tried again a minute later. `used`: a verb is running. Whether
+/// anything was released.
+bool giveBackUnused(Station& station, IdleWatch& idle, const Notifier& notifier,
+                    const std::function<void(const std::string&)>& log, TimePoint now, bool used);
+
+/// Whether a user who was away has still to learn that something was given back: the agent, which knows why,
+/// stays until a command has asked, for a day at most. Threads: any.
+class Untold {
+  public:
+    void add(TimePoint now) { until_ = now + kLongest; }
+    void told() { until_ = TimePoint{}; }
+    bool any(TimePoint now) const { return now < until_.load(); }
+
+  private:
+    static constexpr Duration kLongest = std::chrono::hours{24};
+
+    std::atomic<TimePoint> until_{TimePoint{}};
 };
 
 /// Tells of requests for what a station holds. Threads: follow() one at a time.

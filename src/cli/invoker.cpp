@@ -130,38 +130,6 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
     return verb->perform(session);
 }
 
-bool isBusy(const Station& station) {
-    const auto tasks = station.tasks().list;
-    const auto runs = station.runs();
-    return std::any_of(tasks.begin(), tasks.end(),
-                       [](const KeptTask& task) { return !client::isFinal(task.report.state); }) ||
-           std::any_of(runs.begin(), runs.end(),
-                       [](const RunReport& run) { return !client::isFinal(run.state); });
-}
-
-/// Warns of the end of a check-out that nobody uses, and ends it.
-void giveBackUnused(Station& station, IdleWatch& idle, const Notifier& notifier, TimePoint now, bool used) {
-    const auto held = station.held();
-    const auto says = idle.look(now, used || held.empty() || isBusy(station));
-    if (says == IdleWatch::Says::Nothing) return;
-    std::string names;
-    for (const auto& entity : held) names += (names.empty() ? "" : ", ") + entity.name;
-    if (says == IdleWatch::Says::Warn) {
-        const auto text = names + " is checked out and not used: it is released in " +
-                          duration(idle.warning().count()) +
-                          ", unless an axon command uses the check-out, such as axon agent status";
-        AgentLog::write(text);
-        return notifier.tell(text);
-    }
-    for (const auto& entity : held) {
-        if (const auto done = station.release(entity.id); !done)
-            AgentLog::write("cannot release " + entity.name + ": " + done.refusal().message);
-    }
-    const auto text = names + " was released: it was not used for " + duration(idle.limit().count());
-    AgentLog::write(text);
-    notifier.tell(text);
-}
-
 /// Waits for the child and for what the agent's thread serves meanwhile.
 int statusOf(int wait_status) {
     if (WIFEXITED(wait_status)) return WEXITSTATUS(wait_status);
@@ -415,6 +383,7 @@ int Invoker::serveAgent(int ready_fd) {
     IdleWatch idle(clock.now());
     const auto notifier = std::make_shared<Notifier>();
     RequestWatch requests(notifier);
+    Untold untold;
     std::unique_ptr<Agent> agent;
     const AgentHooks hooks{[&agent] { agent->stop(); },
                            [&](const Json& where) {
@@ -428,11 +397,16 @@ int Invoker::serveAgent(int ready_fd) {
             AgentLog::write(work.verb + " " + line(work.args));
             const auto exit = performKept(work, kept, settings_, hooks);
             requests.follow(*kept);
+            if (const auto* verb = findVerb(work.verb); verb != nullptr && verb->runs != Runs::Anywhere)
+                untold.told();
             AgentLog::write(work.verb + (exit ? ": exit " + std::to_string(*exit) : ": not for this agent"));
             return exit;
         },
-        [kept] { return !kept->held().empty(); }, kLinger);
-    agent->onLook([&](bool used) { giveBackUnused(*kept, idle, *notifier, clock.now(), used); });
+        [&] { return !kept->held().empty() || untold.any(clock.now()); }, kLinger);
+    agent->onLook([&](bool used) {
+        if (giveBackUnused(*kept, idle, *notifier, AgentLog::write, clock.now(), used))
+            untold.add(clock.now());
+    });
     onInterrupt([&](int) { agent->stop(); });
     AgentLog::write("serving " + kept->server() + " as " + kept->self().name);
     say({{"ready", true}});
