@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <set>
 
+#include "cli/holding.hpp"
 #include "cli/table.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
@@ -83,16 +84,33 @@ IdleWatch::Says IdleWatch::look(TimePoint now, bool used) {
     return Says::Warn;
 }
 
+std::string terminalOf(int fd, uid_t user) {
+    char name[256];
+    struct stat found {};
+    const bool theirs =
+        ::ttyname_r(fd, name, sizeof name) == 0 && ::fstat(fd, &found) == 0 && found.st_uid == user;
+    return theirs ? name : "";
+}
+
 Json reachableAt() {
     Json where = Json::object();
     for (const int fd : {STDIN_FILENO, STDERR_FILENO}) {
-        char name[256];
-        if (where.contains("terminal") || ::ttyname_r(fd, name, sizeof name) != 0) continue;
-        where["terminal"] = name;
+        if (where.contains("terminal")) continue;
+        if (const auto terminal = terminalOf(fd, ::getuid()); !terminal.empty()) where["terminal"] = terminal;
     }
     if (const auto desktop = Desktop::here(); desktop.takesNotifications())
         where["environment"] = desktop.json();
     return where;
+}
+
+bool refuseUnreachable(Session& session, const Json& where) {
+    if (where.contains("terminal") || where.contains("environment")) return false;
+    misused(
+        session,
+        "--notify has no way to tell you anything: there is no desktop here, and no terminal of this user "
+        "(after su it is another user's)",
+        "log in as this user, or leave --notify out");
+    return true;
 }
 
 void Notifier::aim(const Json& where) {

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <sys/types.h>
+
 #include <algorithm>
 #include <atomic>
 #include <functional>
@@ -42,9 +44,15 @@ class IdleWatch {
     bool warned_ = false;
 };
 
+/// The terminal at this descriptor. Empty where there is none, or it belongs to another user (after su):
+/// nothing is written to that one.
+std::string terminalOf(int fd, uid_t user);
+
 /// Where a user is reached now: {"terminal": path, "environment": {"DISPLAY": …}} of this process. Without a
-/// terminal, or a desktop, that part is missing.
+/// terminal of this user, or a desktop, that part is missing.
 Json reachableAt();
+/// Emits an error where `where` (reachableAt) says that nothing can be told there. Whether it did.
+bool refuseUnreachable(Session& session, const Json& where);
 
 /// Tells a user at once: a line and the bell on a terminal, and a notification of the desktop by notify-send.
 /// Threads: any. Does not wait: a terminal that takes nothing, and a missing notify-send, are passed over.

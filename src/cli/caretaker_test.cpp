@@ -220,6 +220,13 @@ TEST(UntoldTest, IsKeptUntilItIsToldAndForADayAtMost) {
     EXPECT_FALSE(untold.any(clock.now()));
 }
 
+TEST_F(Told, ATerminalOfAnotherUserIsNoPlaceToBeReached) {
+    EXPECT_EQ(terminalOf(pty.kept.get(), ::getuid()), pty.path);
+    EXPECT_EQ(terminalOf(pty.kept.get(), ::getuid() + 1), "") << "after su";
+    const Descriptor file(::open("/dev/null", O_RDWR | O_CLOEXEC));
+    EXPECT_EQ(terminalOf(file.get(), ::getuid()), "");
+}
+
 TEST_F(Told, ALineAndTheBellComeToTheTerminalAndNothingSteersIt) {
     notifier->tell("too early");
     notifier->aim({{"terminal", pty.path}});

@@ -422,6 +422,12 @@ int Invoker::serveAgent(int ready_fd) {
 }
 
 int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command, Events& events) {
+    if (args.contains("notify")) {
+        events.emit(usageEvent(
+            "--notify is for the agent that axon checkout starts, not for axon checkout … -- COMMAND",
+            "leave it out: requests are shown here while the command runs"));
+        return kUsage;
+    }
     const auto place = agentPlace(settings_.server);
     if (!place) {
         events.emit(errorEvent(place.refusal()));
