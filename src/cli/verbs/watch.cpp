@@ -42,9 +42,9 @@ class PictureFile {
             return Refusal{RefusalCode::Malformed, "the stream " + event.value("stream", "") +
                                                        " has no pictures in jpeg, png, rgb8, bgr8 or mono8"};
         }
-        if (const auto written = replaceFile(file_, picture->bytes); !written) return written;
+        if (const auto written = replaceFile(file_, *picture); !written) return written;
         event["file"] = file_.string();
-        event["size"] = picture->bytes.size();
+        event["size"] = picture->size();
         return {};
     }
 
@@ -52,18 +52,12 @@ class PictureFile {
     const std::filesystem::path file_;
 };
 
-/// $XDG_RUNTIME_DIR/axon/view-NAME-STREAM, private as its parent is.
-Result<std::filesystem::path> viewFolder(const Session& session, const std::string& name,
-                                         std::string stream) {
+/// $XDG_RUNTIME_DIR/axon/view-ENTITY-STREAM, private as its parent is.
+Result<std::filesystem::path> viewFolder(const Session& session, const std::string& entity_id,
+                                         const std::string& stream) {
     const auto place = agentPlace(session.settings.server);
     if (!place) return place.refusal();
-    auto leaf = "view-" + name + "-" + stream;
-    for (auto& c : leaf) {
-        const bool plain =
-            (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
-        if (!plain) c = '_';
-    }
-    const auto folder = place->directory / leaf.substr(0, 100);
+    const auto folder = place->directory / viewFolderName(entity_id, stream);
     std::error_code failed;
     std::filesystem::create_directory(folder, failed);
     if (failed)
@@ -72,17 +66,19 @@ Result<std::filesystem::path> viewFolder(const Session& session, const std::stri
 }
 
 /// What --save and --view want of the pictures; nothing if neither is given.
-Result<std::optional<PictureFile>> pictureFile(Session& session, const std::string& call) {
+Result<std::optional<PictureFile>> pictureFile(Session& session, const Entity& entity) {
     if (session.args.value("view", false)) {
         const auto stream = session.args.at("streams").at(0).get<std::string>();
-        const auto folder = viewFolder(session, call, stream);
+        const auto folder = viewFolder(session, entity.id, stream);
         if (!folder) return folder.refusal();
         // A viewer tells the kind of a picture by its first bytes, not by its name.
         const auto picture = session.args.contains("save")
                                  ? std::filesystem::path(session.args.at("save").get<std::string>())
                                  : folder.value() / "picture";
         const auto page = folder.value() / "index.html";
-        if (const auto made = replaceFile(page, viewerPage(call + " " + stream, picture.string())); !made)
+        if (const auto made =
+                replaceFile(page, viewerPage(callOf(session, entity) + " " + stream, picture.string()));
+            !made)
             return made.refusal();
         const bool opened = Desktop::of(session.args.value("desktop", Json())).open(page.string());
         session.events.emit({{"event", "viewing"}, {"file", page.string()}, {"opened", opened}});
@@ -112,7 +108,7 @@ int watch(Session& session) {
     const auto listening = listenTo(session, found.value());
     const auto mailbox = session.mailbox;
     const auto call = callOf(session, found.value());
-    auto pictures = pictureFile(session, call);
+    auto pictures = pictureFile(session, found.value());
     if (!pictures) return misused(session, pictures.refusal().message, {});
     const auto watching = session.station->watch(
         found->id, session.args.value("streams", std::vector<std::string>{}),
