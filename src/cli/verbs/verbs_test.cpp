@@ -108,7 +108,6 @@ TEST_F(Verbs, DoctorSaysWhatKeepsASessionFromBeingMade) {
             if (event.value("name", "") == name) return event.value("message", "");
         return std::string();
     };
-    EXPECT_THAT(finding("no-such-host.invalid:10410", "network"), HasSubstr("no machine is called"));
     // Another program at the second of a server's ports, and then at the first.
     sockaddr_in address{};
     address.sin_family = AF_INET;
