@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-# cmake -DROOT=dir -DOUT=file.cpp -DFILES=a;b -DHEADER=x.hpp -DNAME=axon::cli::kFiles -P EmbedFiles.cmake
-# Writes the text of each file, and whether it is executable, into a C++ source.
+# cmake -DROOT=dir -DOUT=file.cpp -DFILES=a;b -DHEADER=x.hpp -DNAME=projectFiles -P EmbedFiles.cmake
+# Writes the text of each file, and whether it is executable, into a C++ source: what NAME() of axon::cli returns.
 set(text "// Written by EmbedFiles.cmake.\n#include \"${HEADER}\"\n\nnamespace axon::cli {\nconst std::vector<EmbeddedFile>& ${NAME}() {\n    static const std::vector<EmbeddedFile> all{\n")
 foreach(file IN LISTS FILES)
   file(READ "${ROOT}/${file}" content)

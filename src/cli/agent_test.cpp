@@ -295,6 +295,35 @@ TEST_F(Invoked, ACommandHoldsWhileItRunsAndGivesItsExitStatus) {
     EXPECT_TRUE(std::filesystem::is_empty(base / "axon"));
 }
 
+TEST_F(Invoked, NotifyIsForAnAgentAndNotForACommand) {
+    const Json args{{"entity", {"Cyton"}}, {"notify", {{"terminal", "/dev/pts/0"}}}};
+    EXPECT_EQ(invoker.holdWhile(args, {"touch", (base / "ran").string()}, seen), kUsage);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("--notify is for the agent"));
+    // And inside such a command, whose agent tells nobody.
+    Session inside{args, seen, std::make_shared<Mailbox>(), station, settings, true};
+    EXPECT_EQ(findVerb("checkout")->perform(inside), kUsage);
+    EXPECT_TRUE(station->journalNow().empty()) << "nothing was checked out";
+    EXPECT_FALSE(std::filesystem::exists(base / "ran"));
+}
+
+TEST_F(Invoked, NotifySaysWhenNothingCanBeReached) {
+    int told = 0;
+    for (const auto* verb : {"checkout", "agent"}) {
+        Session session{{{"entity", {"Cyton"}}, {"notify", Json::object()}},
+                        seen,
+                        std::make_shared<Mailbox>(),
+                        station,
+                        settings,
+                        true};
+        session.notify = [&](const Json&) { ++told; };
+        session.set_idle = [](double) {};
+        EXPECT_EQ(findVerb(verb)->perform(session), kUsage) << verb;
+        EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("no way to tell you"));
+    }
+    EXPECT_EQ(told, 0);
+    EXPECT_TRUE(station->held().empty());
+}
+
 TEST_F(Invoked, AnAgentServesAtItsPlaceAndReleasesWhenItEnds) {
     ASSERT_TRUE(station->checkOut({station->entities_[2].id}));
     int ends[2];

@@ -2,28 +2,20 @@
 #include "cli/caretaker.hpp"
 
 #include <fcntl.h>
-#include <spawn.h>
 #include <sys/stat.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <cstdlib>
 #include <set>
-#include <thread>
 
+#include "cli/holding.hpp"
 #include "cli/table.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
 #include "common/descriptor.hpp"
 
-extern char** environ;
-
 namespace axon::cli {
 namespace {
-
-constexpr const char* kOfDesktop[] = {"DISPLAY", "WAYLAND_DISPLAY", "XAUTHORITY", "DBUS_SESSION_BUS_ADDRESS",
-                                      "XDG_RUNTIME_DIR"};
 
 void tellTerminal(const std::string& path, const std::string& text) {
     const Descriptor terminal(::open(path.c_str(), O_WRONLY | O_NOCTTY | O_NONBLOCK | O_CLOEXEC));
@@ -36,31 +28,33 @@ void tellTerminal(const std::string& path, const std::string& text) {
     static_cast<void>(::write(terminal.get(), message.data(), message.size()) > 0);
 }
 
-void tellDesktop(const std::vector<std::string>& variables, const std::string& text) {
-    std::vector<std::string> words{"notify-send", "--app-name=axon", "--urgency=critical", "--", "Axon",
-                                   text};
-    std::vector<std::string> environment = variables;
-    for (char** variable = environ; *variable != nullptr; ++variable) {
-        const std::string_view one = *variable;
-        const auto name = one.substr(0, one.find('=') + 1);
-        const bool told = std::any_of(variables.begin(), variables.end(),
-                                      [&](const std::string& other) { return other.starts_with(name); });
-        if (!told && !one.starts_with("AXON_PASSWORD")) environment.emplace_back(one);
+/// Desktops read a part of HTML in a notification, and notify-send takes \n and its kind for itself; the text
+/// has names and reasons that others chose.
+std::string asText(const std::string& text) {
+    std::string escaped;
+    for (const char c : text) {
+        switch (c) {
+            case '&':
+                escaped += "&amp;";
+                break;
+            case '<':
+                escaped += "&lt;";
+                break;
+            case '>':
+                escaped += "&gt;";
+                break;
+            case '\\':
+                escaped += "\\\\";
+                break;
+            default:
+                escaped += c;
+        }
     }
-    const auto pointers = [](std::vector<std::string>& texts) {
-        std::vector<char*> list;
-        for (auto& one : texts) list.push_back(one.data());
-        list.push_back(nullptr);
-        return list;
-    };
-    pid_t child = 0;
-    if (::posix_spawnp(&child, "notify-send", nullptr, nullptr, pointers(words).data(),
-                       pointers(environment).data()) != 0)
-        return;
-    std::thread([child] {
-        int status = 0;
-        ::waitpid(child, &status, 0);
-    }).detach();
+    return escaped;
+}
+
+void tellDesktop(const Desktop& desktop, const std::string& text) {
+    desktop.start({"notify-send", "--app-name=axon", "--urgency=critical", "--", "Axon", asText(text)});
 }
 
 }  // namespace
@@ -69,8 +63,15 @@ IdleWatch::Says IdleWatch::look(TimePoint now, bool used) {
     const auto limit = Seconds(limit_s_);
     if (used || limit.count() <= 0) {
         used_at_ = now;
+        again_at_.reset();
         warned_ = false;
         return Says::Nothing;
+    }
+    if (again_at_) {
+        if (now < *again_at_) return Says::Nothing;
+        again_at_.reset();
+        used_at_ = now;
+        return Says::Release;
     }
     const Seconds unused = now - used_at_;
     if (unused >= limit) {
@@ -83,33 +84,40 @@ IdleWatch::Says IdleWatch::look(TimePoint now, bool used) {
     return Says::Warn;
 }
 
+std::string terminalOf(int fd, uid_t user) {
+    char name[256];
+    struct stat found {};
+    const bool theirs =
+        ::ttyname_r(fd, name, sizeof name) == 0 && ::fstat(fd, &found) == 0 && found.st_uid == user;
+    return theirs ? name : "";
+}
+
 Json reachableAt() {
     Json where = Json::object();
     for (const int fd : {STDIN_FILENO, STDERR_FILENO}) {
-        char name[256];
-        if (where.contains("terminal") || ::ttyname_r(fd, name, sizeof name) != 0) continue;
-        where["terminal"] = name;
+        if (where.contains("terminal")) continue;
+        if (const auto terminal = terminalOf(fd, ::getuid()); !terminal.empty()) where["terminal"] = terminal;
     }
-    Json environment = Json::object();
-    for (const auto* name : kOfDesktop) {
-        const char* value = std::getenv(name);
-        if (value != nullptr && *value != '\0') environment[name] = value;
-    }
-    const bool desktop = environment.contains("DISPLAY") || environment.contains("WAYLAND_DISPLAY") ||
-                         environment.contains("DBUS_SESSION_BUS_ADDRESS");
-    if (desktop) where["environment"] = std::move(environment);
+    if (const auto desktop = Desktop::here(); desktop.takesNotifications())
+        where["environment"] = desktop.json();
     return where;
+}
+
+bool refuseUnreachable(Session& session, const Json& where) {
+    if (where.contains("terminal") || where.contains("environment")) return false;
+    misused(
+        session,
+        "--notify has no way to tell you anything: there is no desktop here, and no terminal of this user "
+        "(after su it is another user's)",
+        "log in as this user, or leave --notify out");
+    return true;
 }
 
 void Notifier::aim(const Json& where) {
     const std::lock_guard lock(mutex_);
     aimed_ = true;
     terminal_ = where.value("terminal", "");
-    environment_.clear();
-    const auto variables = where.value("environment", Json::object());
-    for (const auto* name : kOfDesktop)
-        if (variables.contains(name) && variables[name].is_string())
-            environment_.push_back(std::string(name) + "=" + variables[name].get<std::string>());
+    desktop_ = Desktop::of(where.value("environment", Json::object()));
 }
 
 bool Notifier::aimed() const {
@@ -119,16 +127,63 @@ bool Notifier::aimed() const {
 
 void Notifier::tell(const std::string& text) const {
     std::string terminal;
-    std::vector<std::string> environment;
+    Desktop desktop;
     {
         const std::lock_guard lock(mutex_);
         if (!aimed_) return;
         terminal = terminal_;
-        environment = environment_;
+        desktop = desktop_;
     }
     const auto harmless = printable(text);
     if (!terminal.empty()) tellTerminal(terminal, harmless);
-    if (!environment.empty()) tellDesktop(environment, harmless);
+    if (desktop.takesNotifications()) tellDesktop(desktop, harmless);
+}
+
+bool isBusy(const Station& station) {
+    const auto tasks = station.tasks().list;
+    const auto runs = station.runs();
+    return std::any_of(tasks.begin(), tasks.end(),
+                       [](const KeptTask& task) { return !client::isFinal(task.report.state); }) ||
+           std::any_of(runs.begin(), runs.end(),
+                       [](const RunReport& run) { return !client::isFinal(run.state); });
+}
+
+bool giveBackUnused(Station& station, IdleWatch& idle, const Notifier& notifier,
+                    const std::function<void(const std::string&)>& log, TimePoint now, bool used) {
+    const auto held = station.held();
+    const auto says = idle.look(now, used || held.empty() || isBusy(station));
+    if (says == IdleWatch::Says::Nothing) return false;
+    const auto all = station.entities();
+    std::string names;
+    const auto add = [&](const Entity& entity) {
+        names += (names.empty() ? "" : ", ") + callName(entity, all);
+    };
+    const auto say = [&](const std::string& text) {
+        log(text);
+        notifier.tell(text);
+    };
+    if (says == IdleWatch::Says::Warn) {
+        for (const auto& entity : held) add(entity);
+        say(names + " is checked out and not used: it is released in " + duration(idle.warning().count()) +
+            ", unless an axon command uses the check-out, such as axon agent status");
+        return false;
+    }
+    const auto unused = duration(idle.limit().count());
+    const Refusal why{RefusalCode::Expired, "it was released because nobody used it for " + unused, {}};
+    bool any_refused = false;
+    for (const auto& entity : held) {
+        if (const auto done = station.giveBack(entity.id, why); done) {
+            add(entity);
+        } else {
+            any_refused = true;
+            log("cannot release " + callName(entity, all) + ": " + done.refusal().message +
+                "; it is tried again in a minute");
+        }
+    }
+    if (any_refused) idle.refused(now);
+    if (names.empty()) return false;
+    say(names + " was released: it was not used for " + unused);
+    return true;
 }
 
 void RequestWatch::follow(Station& station) {

@@ -112,6 +112,14 @@ class ClientStation final : public Station {
     Result<void> release(const std::string& entity) override {
         return with(entity, [](const CheckOut& held) { return held.release(); });
     }
+    Result<void> giveBack(const std::string& entity, const Refusal& why) override {
+        const auto done = release(entity);
+        if (done && !heldBy(entity)) {
+            const std::lock_guard lock(mutex_);
+            rooms_[entity].lost = why;
+        }
+        return done;
+    }
     Result<Receipt> reset(const std::string& entity) override { return command(entity, &CheckOut::reset); }
     Result<Receipt> clear(const std::string& entity) override { return command(entity, &CheckOut::clear); }
     Result<void> set(const std::string& entity, const std::string& service,

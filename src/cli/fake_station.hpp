@@ -137,6 +137,8 @@ class FakeStation : public Station {
             if (one.id == lost_id) {
                 list.push_back({one, {RefusalCode::RevokedLease, "an admin took it over", "cl2@lab"}});
             }
+            if (const auto found = given_back.find(one.id); found != given_back.end())
+                list.push_back({one, found->second});
         }
         return list;
     }
@@ -183,10 +185,16 @@ class FakeStation : public Station {
     bool orphaned(const std::string&) const override { return !is_connected; }
     bool direct(const std::string& id) const override { return id == direct_id; }
     Result<void> release(const std::string& id) override {
+        if (id == unreleasable_id) return Refusal{RefusalCode::NotConnected, "the server has gone", {}};
         const std::lock_guard lock(mutex_);
         held_.erase(std::remove(held_.begin(), held_.end(), id), held_.end());
         journal.push_back("release");
         return {};
+    }
+    Result<void> giveBack(const std::string& id, const Refusal& why) override {
+        const auto done = release(id);
+        if (done) given_back[id] = why;
+        return done;
     }
     Result<Receipt> reset(const std::string&) override { return answer_of_command; }
     Result<Receipt> clear(const std::string&) override { return answer_of_command; }
@@ -416,6 +424,7 @@ class FakeStation : public Station {
     Refusal check_out_refusal;
     Role my_role = Role::Operator;
     std::string lost_id, direct_id, says;
+    std::string unreleasable_id;  ///< its release is refused
     std::string asks;             ///< who wants the arm
     std::string stream = "pose";  ///< of the samples
     std::vector<client::WatchdogMargin> watchdogs;
@@ -444,6 +453,7 @@ class FakeStation : public Station {
     mutable int proposed = 0;
     mutable int histories_asked = 0;
     std::vector<std::string> stopped, rearmed, watched, journal;
+    std::map<std::string, Refusal> given_back;
     std::vector<Argument> run_arguments, set_arguments;
     std::string sent, queried;
     CheckOutOptions asked;

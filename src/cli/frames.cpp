@@ -1,13 +1,18 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "cli/frames.hpp"
 
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
 #include <cstdint>
+#include <cstdio>
 #include <cstring>
-#include <fstream>
+#include <random>
 
+#include "common/descriptor.hpp"
 #include "messages/text.hpp"
 
 namespace axon::cli {
@@ -47,6 +52,28 @@ std::string bitmap(std::uint32_t width, std::uint32_t height, std::string_view p
     return bytes;
 }
 
+/// 0, or errno.
+int writeAll(int fd, std::string_view bytes) {
+    while (!bytes.empty()) {
+        const auto count = ::write(fd, bytes.data(), bytes.size());
+        if (count < 0 && errno == EINTR) continue;
+        if (count < 0) return errno;
+        bytes.remove_prefix(static_cast<std::size_t>(count));
+    }
+    return 0;
+}
+
+/// Bytes that are neither letters, digits nor in `kept` as `mark` and two digits.
+std::string encoded(std::string_view text, char mark, std::string_view kept) {
+    std::string out;
+    for (const char c : text) {
+        const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+                           kept.find(c) != std::string_view::npos;
+        out += plain ? std::string(1, c) : fmt::format("{}{:02X}", mark, static_cast<unsigned char>(c));
+    }
+    return out;
+}
+
 }  // namespace
 
 std::optional<std::string> fromBase64(std::string_view text) {
@@ -81,7 +108,7 @@ std::optional<std::string> fromBase64(std::string_view text) {
     return bytes;
 }
 
-std::optional<Picture> pictureOf(const Json& sample) {
+std::optional<std::string> pictureOf(const Json& sample) {
     const auto image = sample.is_object() ? sample.find("image") : sample.end();
     if (!sample.is_object() || image == sample.end() || !image->is_object()) return std::nullopt;
     const auto coded = image->value("pixels", Json());
@@ -89,8 +116,11 @@ std::optional<Picture> pictureOf(const Json& sample) {
     if (!coded.is_string() || !encoding.is_string()) return std::nullopt;
     auto pixels = fromBase64(coded.get_ref<const std::string&>());
     if (!pixels || pixels->empty()) return std::nullopt;
-    if (encoding == "jpeg" || encoding == "jpg") return Picture{std::move(*pixels), ".jpg"};
-    if (encoding == "png") return Picture{std::move(*pixels), ".png"};
+    const auto ifItBegins = [&](std::string_view with) {
+        return pixels->starts_with(with) ? std::move(pixels) : std::nullopt;
+    };
+    if (encoding == "jpeg" || encoding == "jpg") return ifItBegins("\xFF\xD8\xFF");
+    if (encoding == "png") return ifItBegins("\x89PNG");
     const std::size_t bytes_of_pixel = encoding == "mono8"                        ? 1
                                        : encoding == "rgb8" || encoding == "bgr8" ? 3
                                                                                   : 0;
@@ -103,30 +133,36 @@ std::optional<Picture> pictureOf(const Json& sample) {
     if (columns == 0 || rows == 0 || columns > kMostPixels || rows > kMostPixels ||
         columns * rows > kMostPixels || columns * rows * bytes_of_pixel != pixels->size())
         return std::nullopt;
-    return Picture{bitmap(static_cast<std::uint32_t>(columns), static_cast<std::uint32_t>(rows), *pixels,
-                          bytes_of_pixel, encoding == "rgb8" ? 0 : 2),
-                   ".bmp"};
+    return bitmap(static_cast<std::uint32_t>(columns), static_cast<std::uint32_t>(rows), *pixels,
+                  bytes_of_pixel, encoding == "rgb8" ? 0 : 2);
 }
 
 Result<void> replaceFile(const std::filesystem::path& file, std::string_view bytes) {
-    auto beside = file;
-    beside += ".new-" + std::to_string(::getpid());
     const auto refuse = [&](const std::string& why) {
-        std::error_code none;
-        std::filesystem::remove(beside, none);
         return Refusal{RefusalCode::Malformed, "cannot write " + inQuotes(file.string(), 200) + ": " + why};
     };
-    std::ofstream out(beside, std::ios::binary | std::ios::trunc);
-    out.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
-    out.close();
-    if (out.fail()) return refuse(std::strerror(errno));
-    std::error_code failed;
-    std::filesystem::rename(beside, file, failed);
-    if (failed) return refuse(failed.message());
-    return {};
+    struct stat found {};
+    if (::lstat(file.c_str(), &found) == 0 && !S_ISREG(found.st_mode))
+        return refuse("it is there already and is no regular file");
+    // Of a name that nobody can have taken before, and with the mode that the umask gives a new file.
+    std::filesystem::path beside;
+    Descriptor out;
+    std::random_device random;
+    do {
+        beside = file;
+        beside += fmt::format(".new-{:08x}{:08x}", random(), random());
+        out = Descriptor(::open(beside.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666));
+    } while (!out.open() && errno == EEXIST);
+    if (!out.open()) return refuse(std::strerror(errno));
+    int error = writeAll(out.get(), bytes);
+    out.reset();
+    if (error == 0 && ::rename(beside.c_str(), file.c_str()) != 0) error = errno;
+    if (error == 0) return {};
+    ::unlink(beside.c_str());
+    return refuse(std::strerror(error));
 }
 
-std::string viewerPage(const std::string& title, const std::string& name) {
+std::string viewerPage(const std::string& title, const std::string& path) {
     const auto escaped = [](const std::string& text) {
         std::string out;
         for (const char c : text) {
@@ -142,13 +178,17 @@ std::string viewerPage(const std::string& title, const std::string& name) {
            "</title></head>\n<body style=\"margin:0;background:#222\">\n"
            "<img id=\"picture\" alt=\"waiting for the first picture\" style=\"width:100%;height:100vh;"
            "object-fit:contain;color:#ccc\" src=\"" +
-           escaped(name) +
+           encoded(path, '%', "/-._~") +
            "\">\n<script>\n"
            "const picture = document.getElementById('picture');\n"
            "const address = picture.getAttribute('src');\n"
            "const next = () => setTimeout(() => { picture.src = address + '?' + Date.now(); }, 200);\n"
            "picture.onload = next;\npicture.onerror = next;\nnext();\n"
            "</script>\n</body></html>\n";
+}
+
+std::string viewFolderName(const std::string& entity_id, const std::string& stream) {
+    return "view-" + encoded(entity_id, '_', "-") + "-" + encoded(stream, '_', "-");
 }
 
 }  // namespace axon::cli

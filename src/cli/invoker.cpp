@@ -22,6 +22,7 @@
 #include "cli/agent_link.hpp"
 #include "cli/caretaker.hpp"
 #include "cli/common_options.hpp"
+#include "cli/desktop.hpp"
 #include "cli/holding.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
@@ -129,74 +130,11 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
     return verb->perform(session);
 }
 
-bool isBusy(const Station& station) {
-    const auto tasks = station.tasks().list;
-    const auto runs = station.runs();
-    return std::any_of(tasks.begin(), tasks.end(),
-                       [](const KeptTask& task) { return !client::isFinal(task.report.state); }) ||
-           std::any_of(runs.begin(), runs.end(),
-                       [](const RunReport& run) { return !client::isFinal(run.state); });
-}
-
-/// Warns of the end of a check-out that nobody uses, and ends it.
-void giveBackUnused(Station& station, IdleWatch& idle, const Notifier& notifier, TimePoint now, bool used) {
-    const auto held = station.held();
-    const auto says = idle.look(now, used || held.empty() || isBusy(station));
-    if (says == IdleWatch::Says::Nothing) return;
-    std::string names;
-    for (const auto& entity : held) names += (names.empty() ? "" : ", ") + entity.name;
-    if (says == IdleWatch::Says::Warn) {
-        const auto text = names + " is checked out and not used: it is released in " +
-                          duration(idle.warning().count()) +
-                          ", unless an axon command uses the check-out, such as axon agent status";
-        AgentLog::write(text);
-        return notifier.tell(text);
-    }
-    for (const auto& entity : held) {
-        if (const auto done = station.release(entity.id); !done)
-            AgentLog::write("cannot release " + entity.name + ": " + done.refusal().message);
-    }
-    const auto text = names + " was released: it was not used for " + duration(idle.limit().count());
-    AgentLog::write(text);
-    notifier.tell(text);
-}
-
 /// Waits for the child and for what the agent's thread serves meanwhile.
 int statusOf(int wait_status) {
     if (WIFEXITED(wait_status)) return WEXITSTATUS(wait_status);
     if (WIFSIGNALED(wait_status)) return 128 + WTERMSIG(wait_status);
     return kRefused;
-}
-
-/// A child with the signals as a fresh program expects them: ours are blocked and taken by a thread.
-class SpawnAttributes {
-  public:
-    explicit SpawnAttributes(short extra_flags) {
-        ::posix_spawnattr_init(&attributes_);
-        sigset_t none;
-        sigset_t all;
-        ::sigemptyset(&none);
-        ::sigemptyset(&all);
-        for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT}) ::sigaddset(&all, signal);
-        ::posix_spawnattr_setsigmask(&attributes_, &none);
-        ::posix_spawnattr_setsigdefault(&attributes_, &all);
-        ::posix_spawnattr_setflags(
-            &attributes_, static_cast<short>(POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | extra_flags));
-    }
-    ~SpawnAttributes() { ::posix_spawnattr_destroy(&attributes_); }
-    SpawnAttributes(const SpawnAttributes&) = delete;
-    SpawnAttributes& operator=(const SpawnAttributes&) = delete;
-    const posix_spawnattr_t* get() const { return &attributes_; }
-
-  private:
-    posix_spawnattr_t attributes_{};
-};
-
-std::vector<char*> pointersTo(std::vector<std::string>& words) {
-    std::vector<char*> pointers;
-    for (auto& word : words) pointers.push_back(word.data());
-    pointers.push_back(nullptr);
-    return pointers;
 }
 
 /// Starts the agent and waits until it says that it serves; its refusal to a person otherwise.
@@ -219,10 +157,7 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
     const SpawnAttributes attributes(POSIX_SPAWN_SETSID);
     pid_t child = 0;
     // Only this user may read the environment of a process; of its command line that is not so.
-    std::vector<std::string> variables;
-    for (char** variable = environ; *variable != nullptr; ++variable) {
-        if (std::string_view(*variable).rfind("AXON_PASSWORD", 0) != 0) variables.emplace_back(*variable);
-    }
+    auto variables = environmentWithoutPassword();
     if (!settings.password.empty()) variables.push_back("AXON_PASSWORD=" + settings.password);
     auto environment = pointersTo(variables);
     const int failed = ::posix_spawn(&child, "/proc/self/exe", &actions, attributes.get(), pointers.data(),
@@ -448,6 +383,7 @@ int Invoker::serveAgent(int ready_fd) {
     IdleWatch idle(clock.now());
     const auto notifier = std::make_shared<Notifier>();
     RequestWatch requests(notifier);
+    Untold untold;
     std::unique_ptr<Agent> agent;
     const AgentHooks hooks{[&agent] { agent->stop(); },
                            [&](const Json& where) {
@@ -461,11 +397,16 @@ int Invoker::serveAgent(int ready_fd) {
             AgentLog::write(work.verb + " " + line(work.args));
             const auto exit = performKept(work, kept, settings_, hooks);
             requests.follow(*kept);
+            if (const auto* verb = findVerb(work.verb); verb != nullptr && verb->runs != Runs::Anywhere)
+                untold.told();
             AgentLog::write(work.verb + (exit ? ": exit " + std::to_string(*exit) : ": not for this agent"));
             return exit;
         },
-        [kept] { return !kept->held().empty(); }, kLinger);
-    agent->onLook([&](bool used) { giveBackUnused(*kept, idle, *notifier, clock.now(), used); });
+        [&] { return !kept->held().empty() || untold.any(clock.now()); }, kLinger);
+    agent->onLook([&](bool used) {
+        if (giveBackUnused(*kept, idle, *notifier, AgentLog::write, clock.now(), used))
+            untold.add(clock.now());
+    });
     onInterrupt([&](int) { agent->stop(); });
     AgentLog::write("serving " + kept->server() + " as " + kept->self().name);
     say({{"ready", true}});
@@ -481,6 +422,12 @@ int Invoker::serveAgent(int ready_fd) {
 }
 
 int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command, Events& events) {
+    if (args.contains("notify")) {
+        events.emit(usageEvent(
+            "--notify is for the agent that axon checkout starts, not for axon checkout … -- COMMAND",
+            "leave it out: requests are shown here while the command runs"));
+        return kUsage;
+    }
     const auto place = agentPlace(settings_.server);
     if (!place) {
         events.emit(errorEvent(place.refusal()));
@@ -559,7 +506,7 @@ int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command
     if (!settings_.config.empty()) ::setenv("AXON_CONFIG", settings_.config.c_str(), 1);
     auto words = command;
     auto pointers = pointersTo(words);
-    const SpawnAttributes attributes(0);
+    const SpawnAttributes attributes;
     pid_t child = 0;
     int exit = kDone;
     if (const int failed = ::posix_spawnp(&child, words.front().c_str(), nullptr, attributes.get(),

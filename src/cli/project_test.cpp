@@ -2,7 +2,10 @@
 #include "cli/project.hpp"
 
 #include <gmock/gmock.h>
+#include <sys/wait.h>
 
+#include <csignal>
+#include <cstdlib>
 #include <fstream>
 #include <iterator>
 
@@ -33,6 +36,19 @@ struct Project : testing::Test {
                         nullptr,
                         settings};
         return findVerb("init")->perform(session);
+    }
+    /// Stands in for a program that the script of a robot uses.
+    void program(const fs::path& file, const std::string& script) const {
+        fs::create_directories((folder / file).parent_path());
+        std::ofstream(folder / file) << "#!/bin/sh\n" << script << '\n';
+        fs::permissions(folder / file, fs::perms::owner_all);
+    }
+    /// The exit status of the script.
+    int run() const {
+        const auto in = folder.string();
+        const int status = std::system(  // NOLINT: the words are the test's own
+            ("cd '" + in + "' && PATH='" + in + "/bin':\"$PATH\" ./run >output 2>&1").c_str());
+        return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
     }
     static std::string read(const fs::path& file) {
         std::ifstream in(file, std::ios::binary);
@@ -72,6 +88,32 @@ TEST_F(Project, IsWrittenWithAScriptThatCanBeRun) {
     ASSERT_NE(made, nullptr);
     EXPECT_THAT(made->at("files"), Contains("services.xml"));
     EXPECT_EQ(made->at("next").at(1), "./run");
+}
+
+TEST_F(Project, ItsScriptConfiguresAgainAfterAConfigureThatFailed) {
+    ASSERT_EQ(init("robot", "Rover", folder), kDone);
+    program("bin/axon-entity-manager", "exit 7");
+    program("bin/cmake", "echo \"$1\" >>calls; mkdir -p build; test \"$1\" != -S");
+    EXPECT_EQ(run(), 1) << "Axon is not found";
+    program("bin/cmake", "echo \"$1\" >>calls");
+    program("build/rover-robot", "exit 0");
+    EXPECT_EQ(run(), 7) << read(folder / "output");
+    EXPECT_EQ(read(folder / "calls"), "-S\n-S\n--build\n");
+}
+
+TEST_F(Project, ItsScriptLeavesNoProgramRunningHoweverEarlyItIsEnded) {
+    ASSERT_EQ(init("robot", "Rover", folder), kDone);
+    program("bin/cmake", "exit 0");
+    program("bin/axon-entity-manager", "exec sleep 600");
+    program("build/rover-robot", "echo $$ >id; kill -TERM $PPID; exec sleep 600");
+    EXPECT_EQ(run(), 143) << read(folder / "output");
+    pid_t robot = 0;
+    std::ifstream(folder / "id") >> robot;
+    ASSERT_GT(robot, 0);
+    EXPECT_NE(::kill(robot, SIGKILL), 0) << "it was running";
+    const auto script = read(folder / "run");
+    EXPECT_LT(script.find("trap 'exit 130' INT"), script.find("build/rover-robot . &"));
+    EXPECT_LT(script.find("application= manager="), script.find("trap '"));
 }
 
 TEST_F(Project, OverwritesNothing) {

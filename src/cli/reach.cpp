@@ -10,36 +10,64 @@
 #include <algorithm>
 #include <cerrno>
 #include <charconv>
+#include <cstring>
 #include <memory>
 
 #include "common/descriptor.hpp"
 
 namespace axon::cli {
 
-Reach reach(const std::string& host, std::uint16_t port, std::chrono::milliseconds patience) {
+Reach meaningOf(int resolver_error) {
+    switch (resolver_error) {
+        case EAI_AGAIN:
+        case EAI_FAIL:
+        case EAI_SYSTEM:
+        case EAI_MEMORY:
+            return Reach::NoResolver;
+        default:
+            return Reach::UnknownHost;
+    }
+}
+
+Addresses addressesOf(const std::string& host, std::uint16_t port) {
     addrinfo hints{};
     hints.ai_family = AF_UNSPEC;
     hints.ai_socktype = SOCK_STREAM;
     addrinfo* found = nullptr;
-    if (::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found) != 0 || found == nullptr)
-        return Reach::UnknownHost;
+    if (const int error = ::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found);
+        error != 0)
+        return {{}, meaningOf(error)};
     const std::unique_ptr<addrinfo, decltype(&::freeaddrinfo)> all(found, ::freeaddrinfo);
-    const auto end = std::chrono::steady_clock::now() + patience;
-    Reach answer = Reach::Unreachable;
+    Addresses addresses;
     for (const auto* one = all.get(); one != nullptr; one = one->ai_next) {
-        const Descriptor fd(::socket(one->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+        auto& address = addresses.list.emplace_back();
+        address.size = std::min<socklen_t>(one->ai_addrlen, sizeof address.storage);
+        std::memcpy(&address.storage, one->ai_addr, address.size);
+    }
+    return addresses;
+}
+
+bool answersWithin(int fd, std::chrono::milliseconds patience) {
+    pollfd watched{fd, POLLOUT, 0};
+    return ::poll(&watched, 1, static_cast<int>(patience.count())) > 0;
+}
+
+Reach reach(const std::string& host, std::uint16_t port, std::chrono::milliseconds patience,
+            const Network& network) {
+    const auto addresses = network.addresses(host, port);
+    if (addresses.list.empty()) return addresses.otherwise;
+    Reach answer = Reach::Unreachable;
+    for (const auto& [storage, size] : addresses.list) {
+        const Descriptor fd(::socket(storage.ss_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
         if (!fd.open()) continue;
-        int error = ::connect(fd.get(), one->ai_addr, one->ai_addrlen) == 0 ? 0 : errno;
+        int error = ::connect(fd.get(), reinterpret_cast<const sockaddr*>(&storage), size) == 0 ? 0 : errno;
         if (error == EINPROGRESS) {
-            const auto left =
-                std::chrono::ceil<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
-            pollfd watched{fd.get(), POLLOUT, 0};
-            if (::poll(&watched, 1, static_cast<int>(std::max<std::int64_t>(0, left.count()))) <= 0) {
+            if (!network.answers(fd.get(), patience)) {
                 answer = Reach::Silent;
                 continue;
             }
-            socklen_t size = sizeof error;
-            ::getsockopt(fd.get(), SOL_SOCKET, SO_ERROR, &error, &size);
+            socklen_t length = sizeof error;
+            ::getsockopt(fd.get(), SOL_SOCKET, SO_ERROR, &error, &length);
         }
         if (error == 0) return Reach::Open;
         if (error == ECONNREFUSED) answer = Reach::Refused;

@@ -3,9 +3,11 @@
 
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
+#include <netdb.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
 
+#include <cstring>
 #include <vector>
 
 #include "common/descriptor.hpp"
@@ -54,8 +56,35 @@ TEST(Reach, APortThatDropsWhatComesIsSilent) {
     EXPECT_EQ(reach("127.0.0.1", full.port(), milliseconds(100)), Reach::Silent);
 }
 
-TEST(Reach, ANameThatNobodyHasIsUnknown) {
-    EXPECT_EQ(reach("no-such-host.invalid", 10410, milliseconds(100)), Reach::UnknownHost);
+TEST(Reach, ANameThatNobodyHasIsNotOneThatNobodyCanLookUp) {
+    EXPECT_EQ(meaningOf(EAI_NONAME), Reach::UnknownHost);
+    EXPECT_EQ(meaningOf(EAI_AGAIN), Reach::NoResolver) << "the name service is down";
+    for (const auto why : {Reach::UnknownHost, Reach::NoResolver}) {
+        Network network;
+        network.addresses = [why](const std::string&, std::uint16_t) { return Addresses{{}, why}; };
+        EXPECT_EQ(reach("lab.example.org", 10410, milliseconds(100), network), why);
+    }
+}
+
+TEST(Reach, AnAddressThatIsSilentTakesNoTimeFromTheNext) {
+    const Bound listening(4);
+    Network network;
+    network.addresses = [&](const std::string&, std::uint16_t) {
+        Addresses two;
+        for (int i = 0; i < 2; ++i) {
+            auto& address = two.list.emplace_back();
+            std::memcpy(&address.storage, &listening.address, sizeof listening.address);
+            address.size = sizeof listening.address;
+        }
+        return two;
+    };
+    std::vector<milliseconds> given;
+    network.answers = [&](int fd, milliseconds patience) {
+        given.push_back(patience);
+        return given.size() > 1 && answersWithin(fd, milliseconds(5000));
+    };
+    EXPECT_EQ(reach("lab.example.org", 10410, milliseconds(2000), network), Reach::Open);
+    EXPECT_THAT(given, testing::ElementsAre(milliseconds(2000), milliseconds(2000)));
 }
 
 TEST(Reach, ReadsTheFormsOfAServersAddress) {

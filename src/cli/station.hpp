@@ -100,7 +100,8 @@ class Station {
     virtual Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names) = 0;
 
     virtual std::vector<Entity> held() const = 0;
-    /// What was held here and is not any more, and was not released; until it is checked out again.
+    /// What was held here and is not any more, and was not released by its user; until it is checked out
+    /// again.
     virtual std::vector<Lost> lost() const = 0;
     /// What was granted: as it was named, or what the query found.
     virtual Result<std::vector<Entity>> checkOut(const std::vector<std::string>& entities,
@@ -108,6 +109,8 @@ class Station {
     virtual Result<std::vector<Entity>> checkOutQuery(const std::string& query,
                                                       const CheckOutOptions& options) = 0;
     virtual Result<void> release(const std::string& entity) = 0;
+    /// Releases it without being told to by the user; lost() says `why` afterwards.
+    virtual Result<void> giveBack(const std::string& entity, const Refusal& why) = 0;
     virtual std::vector<Question> questions() const = 0;
     virtual Result<void> answerHandOver(const std::string& entity, bool accept,
                                         const std::string& reason) = 0;

@@ -253,16 +253,25 @@ Parsed parseOptions(int argc, char** argv) {
     setRole(settings, role);
     findGlobalServices(settings, files);
     int port = base_port;
-    const std::pair<std::string, std::string*> lanes[] = {
-        {"client", &settings.client_endpoint},
-        {"client-signal", &settings.client_signal_endpoint},
-        {"entity", &settings.entity_endpoint},
-        {"entity-signal", &settings.entity_signal_endpoint}};
-    for (const auto& [name, to] : lanes) {
+    struct Lane {
+        std::string name;
+        std::string* endpoints;
+        const char* key;
+    };
+    const Lane lanes[] = {
+        {"client", &settings.client_endpoint, "FrontEndServer.Endpoints"},
+        {"client-signal", &settings.client_signal_endpoint, "FrontEndServerSignal.Endpoints"},
+        {"entity", &settings.entity_endpoint, "EntityServer.Endpoints"},
+        {"entity-signal", &settings.entity_signal_endpoint, "EntityServerSignal.Endpoints"}};
+    for (const auto& [name, to, key] : lanes) {
         if (!endpoints[name].empty()) {
             *to = endpoints[name];
         } else if (!listen.empty() || base_port >= 0) {
             auto all = transport::parseEndpoints(*to);
+            if (base_port > 0 && all.size() > 1)
+                throw std::runtime_error("--base-port gives each lane one port, and " + std::string(key) +
+                                         " has several endpoints in the configuration; fix: change their "
+                                         "ports there, and leave --base-port out");
             for (auto& endpoint : all) {
                 if (!listen.empty()) endpoint.host = listen;
                 if (base_port >= 0) endpoint.port = static_cast<std::uint16_t>(port);

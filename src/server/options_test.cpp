@@ -60,6 +60,21 @@ TEST(ServerOptions, TheFourPortsFollowTheBasePort) {
     EXPECT_EQ(parse({"--base-port", "65533"}).exit_code, 2) << "there is no fourth port";
 }
 
+TEST(ServerOptions, TheBasePortIsForLanesOfOneEndpoint) {
+    const auto file = std::filesystem::path(testing::TempDir()) / "axon-several-endpoints.cfg";
+    std::ofstream(file) << "EntityServer.Endpoints = tcp -h 127.0.0.1 -p 7001:tcp -h 127.0.0.2 -p 7002\n";
+    EXPECT_THAT(complaint({"--config", file.string(), "--base-port", "20000"}),
+                testing::AllOf(HasSubstr("EntityServer.Endpoints has several endpoints in the configuration"),
+                               HasSubstr("fix: change their ports there")));
+    EXPECT_EQ(complaint({"--config", file.string()}), "accepted");
+    EXPECT_EQ(complaint({"--config", file.string(), "--base-port", "0"}), "accepted") << "free ports differ";
+    EXPECT_EQ(
+        complaint({"--config", file.string(), "--base-port", "20000", "--entity-endpoint", "127.0.0.1:7"}),
+        "accepted")
+        << "which replaces them";
+    std::filesystem::remove(file);
+}
+
 TEST(ServerOptions, SaysWhatAddUserNeeds) {
     EXPECT_THAT(complaint({"--add-user", "client1", "--user-role", "admin"}), HasSubstr("add --users FILE"));
     EXPECT_THAT(complaint({"--add-user", "client1", "--users", "u"}),

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <netinet/in.h>
 #include <pthread.h>
+#include <pwd.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -190,16 +191,24 @@ void checkServerPorts(Report& report, std::uint16_t first) {
         "--server 127.0.0.1:10510 here");
 }
 
-/// What keeps a session from being made, as far as it can be seen from here.
-void explainNoServer(Report& report, const std::string& server) {
+}  // namespace
+
+void explainNoServer(Report& report, const std::string& server, const Network& network) {
     const auto place = hostPortOf(server);
     if (!place) return;
     const bool here = place->host == "localhost" || isLoopback(place->host);
     const auto at = place->host + " port " + std::to_string(place->port);
-    switch (reach(place->host, place->port, kReach)) {
+    switch (reach(place->host, place->port, kReach, network)) {
         case Reach::UnknownHost:
             report.bad("network", "no machine is called " + inQuotes(place->host),
                        "correct the name in --server, or give the address");
+            return;
+        case Reach::NoResolver:
+            report.bad("network",
+                       "whether a machine is called " + inQuotes(place->host) +
+                           " cannot be known: the name service (DNS) does not answer",
+                       "check the network and the name servers in /etc/resolv.conf, or give the address in "
+                       "--server");
             return;
         case Reach::Unreachable:
             report.bad("network", "there is no way to " + place->host,
@@ -222,7 +231,7 @@ void explainNoServer(Report& report, const std::string& server) {
     }
     if (place->port == 65535) return;
     // A server tells clients its second port, which is the next one unless it is told otherwise.
-    if (reach(place->host, static_cast<std::uint16_t>(place->port + 1), kReach) == Reach::Silent) {
+    if (reach(place->host, static_cast<std::uint16_t>(place->port + 1), kReach, network) == Reach::Silent) {
         report.bad(
             "network",
             fmt::format("port {} of {} can be reached, and port {} cannot: a firewall lets only one of the "
@@ -235,6 +244,37 @@ void explainNoServer(Report& report, const std::string& server) {
     report.bad("network", "a program listens at " + at + " that lets no client of Axon in",
                "check that it is axon-server of the same release, with the same TLS setting (ssl:// or not)");
 }
+
+void reportRealTime(Report& report, bool permitted, const std::string& user) {
+    if (permitted) {
+        report.ok("real time", "the signal lane can run with real-time priority");
+        return;
+    }
+    report.warn("real time", "not permitted (ulimit -r is 0): stops share the processor with everything else",
+                "put '" + user + " - rtprio 20' into /etc/security/limits.d/axon.conf, and log in again");
+}
+
+void reportClock(Report& report, std::time_t now, int kind, int status) {
+    std::tm parts{};
+    ::gmtime_r(&now, &parts);
+    char text[32];
+    std::strftime(text, sizeof text, "%F %T UTC", &parts);
+    const auto time = std::string("it is ") + text + " by the clock of this machine";
+    if (now < kBuiltAfter) {
+        report.bad("clock", time + ", which is too early", "set it: timedatectl set-ntp true, or date -s");
+    } else if (kind == -1) {
+        report.ok("clock", time);
+    } else if (kind == TIME_ERROR || (status & STA_UNSYNC) != 0) {
+        report.warn(
+            "clock", time + ", which no time server corrects",
+            "timedatectl set-ntp true; certificates that are not valid yet, or no longer, come of a wrong "
+            "clock");
+    } else {
+        report.ok("clock", std::string("it is ") + text + ", and a time server corrects the clock");
+    }
+}
+
+namespace {
 
 void checkServer(Report& report, Session& session) {
     const auto start = Clock::now();
@@ -288,37 +328,14 @@ void checkRealTime(Report& report) {
         param.sched_priority = 1;
         refused = ::pthread_setschedparam(::pthread_self(), SCHED_RR, &param);
     }).join();
-    if (refused == 0) {
-        report.ok("real time", "the signal lane can run with real-time priority");
-        return;
-    }
-    report.warn("real time", "not permitted (ulimit -r is 0): stops share the processor with everything else",
-                "put '@axon - rtprio 20' into /etc/security/limits.d/axon.conf, join the group axon, and log "
-                "in again");
+    const passwd* self = ::getpwuid(::geteuid());
+    reportRealTime(report, refused == 0, self != nullptr ? self->pw_name : std::to_string(::geteuid()));
 }
 
-/// Certificates, and the times in records of runs, go by the clock of the machine.
 void checkClock(Report& report) {
     timex state{};
     const int kind = ::adjtimex(&state);
-    const auto now = std::time(nullptr);
-    std::tm parts{};
-    ::gmtime_r(&now, &parts);
-    char text[32];
-    std::strftime(text, sizeof text, "%F %T UTC", &parts);
-    if (now < kBuiltAfter) {
-        report.bad("clock",
-                   std::string("it is ") + text + " by the clock of this machine, which is too early",
-                   "set it: timedatectl set-ntp true, or date -s");
-    } else if (kind == TIME_ERROR || (state.status & STA_UNSYNC) != 0) {
-        report.warn(
-            "clock",
-            std::string("it is ") + text + " by the clock of this machine, which no time server corrects",
-            "timedatectl set-ntp true; certificates that are not valid yet, or no longer, come of a wrong "
-            "clock");
-    } else {
-        report.ok("clock", std::string("it is ") + text + ", and a time server corrects the clock");
-    }
+    reportClock(report, std::time(nullptr), kind, state.status);
 }
 
 void checkPorts(Report& report) {

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <ctime>
 #include <string>
 
+#include "cli/reach.hpp"
 #include "cli/session.hpp"
 
 namespace axon::cli {
@@ -30,6 +32,16 @@ class Report {
     Events& events_;
     bool any_bad_ = false;
 };
+
+// Parts of `axon doctor`, with what they find out passed in.
+
+/// What keeps a session with this server from being made, as far as it can be seen from here.
+void explainNoServer(Report& report, const std::string& server, const Network& network = {});
+/// Whether a thread of this user may run with real-time priority.
+void reportRealTime(Report& report, bool permitted, const std::string& user);
+/// Certificates, and the times in records of runs, go by the clock of the machine. `kind` and `status` are
+/// those of adjtimex; with a kind of -1, which says that nothing is known, nothing is said of time servers.
+void reportClock(Report& report, std::time_t now, int kind, int status);
 
 /// `axon doctor --security`: what of the set-up lets somebody in who should not be
 /// (docs/explanation/threats.md).

@@ -10,9 +10,14 @@ namespace axon::cli {
 namespace {
 
 int checkout(Session& session) {
+    const bool notify = session.args.contains("notify");
+    if (notify && !session.notify)
+        return misused(session, "--notify is for the agent that axon checkout starts",
+                       "not inside axon checkout … -- COMMAND");
+    if (notify && refuseUnreachable(session, session.args.at("notify"))) return kUsage;
     const auto taken = takeOut(session);
     if (taken.exit != kDone) return taken.exit;
-    if (session.notify && session.args.contains("notify")) session.notify(session.args.at("notify"));
+    if (notify) session.notify(session.args.at("notify"));
     session.events.emit({{"event", "checked_out"},
                          {"entities", taken.items},
                          {"already", taken.already},

@@ -39,6 +39,8 @@ int agent(Session& session) {
         if (!session.notify || !session.set_idle)
             return misused(session, "--notify and --idle are for the agent that axon checkout starts",
                            "not inside axon checkout … -- COMMAND");
+        if (session.args.contains("notify") && refuseUnreachable(session, session.args.at("notify")))
+            return kUsage;
         if (session.args.contains("idle")) session.set_idle(session.args.at("idle").get<double>());
         if (session.args.contains("notify")) {
             session.notify(session.args.at("notify"));

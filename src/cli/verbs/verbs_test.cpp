@@ -108,7 +108,6 @@ TEST_F(Verbs, DoctorSaysWhatKeepsASessionFromBeingMade) {
             if (event.value("name", "") == name) return event.value("message", "");
         return std::string();
     };
-    EXPECT_THAT(finding("no-such-host.invalid:10410", "network"), HasSubstr("no machine is called"));
     // Another program at the second of a server's ports, and then at the first.
     sockaddr_in address{};
     address.sin_family = AF_INET;
@@ -668,14 +667,14 @@ TEST_F(Verbs, WatchKeepsTheNewestPictureInAFileAndPassesNoPixelsOn) {
     std::filesystem::remove(file);
     station->stream = "camera";
     station->samples = {
-        {1, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"b2xk"}})"},
-        {2, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"bmV3"}})"}};
+        {1, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"/9j/b2xk"}})"},
+        {2, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"/9j/bmV3"}})"}};
     const Json args{{"entity", "Cyton"}, {"streams", {"camera"}}, {"for", 0.05}, {"save", file.string()}};
     EXPECT_EQ(perform("watch", args), kDone);
     std::ifstream in(file, std::ios::binary);
     std::string content;
     in >> content;
-    EXPECT_EQ(content, "new");
+    EXPECT_EQ(content, "\xFF\xD8\xFFnew");
     EXPECT_EQ(seen.last("sample")->at("file"), file.string());
     EXPECT_EQ(seen.last("sample")->at("sample"),
               Json({{"image", {{"width", 2}, {"height", 1}, {"encoding", "jpeg"}}}}));

@@ -1,17 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include <spawn.h>
-#include <sys/wait.h>
-
 #include <cstdlib>
 #include <filesystem>
-#include <thread>
 
 #include "cli/agent_link.hpp"
+#include "cli/desktop.hpp"
 #include "cli/frames.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
-
-extern char** environ;
 
 // axon watch
 namespace axon::cli {
@@ -34,25 +29,6 @@ Json sampleEvent(const std::string& entity, const Sample& sample) {
     return event;
 }
 
-/// Opens the file with what this user opens such files with, where there is a desktop. Whether that began.
-bool openOnDesktop(const std::string& file) {
-    const auto isSet = [](const char* name) {
-        const char* value = std::getenv(name);
-        return value != nullptr && *value != '\0';
-    };
-    if (!isSet("DISPLAY") && !isSet("WAYLAND_DISPLAY")) return false;
-    std::string program = "xdg-open";
-    auto argument = file;
-    char* words[] = {program.data(), argument.data(), nullptr};
-    pid_t child = 0;
-    if (::posix_spawnp(&child, program.c_str(), nullptr, nullptr, words, environ) != 0) return false;
-    std::thread([child] {
-        int status = 0;
-        ::waitpid(child, &status, 0);
-    }).detach();
-    return true;
-}
-
 /// Where the pictures of a stream go: to a file, and to a page that shows it.
 class PictureFile {
   public:
@@ -66,9 +42,9 @@ class PictureFile {
             return Refusal{RefusalCode::Malformed, "the stream " + event.value("stream", "") +
                                                        " has no pictures in jpeg, png, rgb8, bgr8 or mono8"};
         }
-        if (const auto written = replaceFile(file_, picture->bytes); !written) return written;
+        if (const auto written = replaceFile(file_, *picture); !written) return written;
         event["file"] = file_.string();
-        event["size"] = picture->bytes.size();
+        event["size"] = picture->size();
         return {};
     }
 
@@ -76,18 +52,12 @@ class PictureFile {
     const std::filesystem::path file_;
 };
 
-/// $XDG_RUNTIME_DIR/axon/view-NAME-STREAM, private as its parent is.
-Result<std::filesystem::path> viewFolder(const Session& session, const std::string& name,
-                                         std::string stream) {
+/// $XDG_RUNTIME_DIR/axon/view-ENTITY-STREAM, private as its parent is.
+Result<std::filesystem::path> viewFolder(const Session& session, const std::string& entity_id,
+                                         const std::string& stream) {
     const auto place = agentPlace(session.settings.server);
     if (!place) return place.refusal();
-    auto leaf = "view-" + name + "-" + stream;
-    for (auto& c : leaf) {
-        const bool plain =
-            (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
-        if (!plain) c = '_';
-    }
-    const auto folder = place->directory / leaf.substr(0, 100);
+    const auto folder = place->directory / viewFolderName(entity_id, stream);
     std::error_code failed;
     std::filesystem::create_directory(folder, failed);
     if (failed)
@@ -96,19 +66,21 @@ Result<std::filesystem::path> viewFolder(const Session& session, const std::stri
 }
 
 /// What --save and --view want of the pictures; nothing if neither is given.
-Result<std::optional<PictureFile>> pictureFile(Session& session, const std::string& call) {
+Result<std::optional<PictureFile>> pictureFile(Session& session, const Entity& entity) {
     if (session.args.value("view", false)) {
         const auto stream = session.args.at("streams").at(0).get<std::string>();
-        const auto folder = viewFolder(session, call, stream);
+        const auto folder = viewFolder(session, entity.id, stream);
         if (!folder) return folder.refusal();
         // A viewer tells the kind of a picture by its first bytes, not by its name.
         const auto picture = session.args.contains("save")
                                  ? std::filesystem::path(session.args.at("save").get<std::string>())
                                  : folder.value() / "picture";
         const auto page = folder.value() / "index.html";
-        if (const auto made = replaceFile(page, viewerPage(call + " " + stream, picture.string())); !made)
+        if (const auto made =
+                replaceFile(page, viewerPage(callOf(session, entity) + " " + stream, picture.string()));
+            !made)
             return made.refusal();
-        const bool opened = openOnDesktop(page.string());
+        const bool opened = Desktop::of(session.args.value("desktop", Json())).open(page.string());
         session.events.emit({{"event", "viewing"}, {"file", page.string()}, {"opened", opened}});
         return std::optional(PictureFile(picture));
     }
@@ -117,13 +89,15 @@ Result<std::optional<PictureFile>> pictureFile(Session& session, const std::stri
     return std::optional<PictureFile>();
 }
 
-/// An absolute path: the verb may run in the agent, whose folder is another one.
+/// An absolute path, and the desktop of whoever typed this: the verb may run in the agent, whose folder and
+/// desktop are others.
 std::string prepareWatch(Json& args) {
     const bool pictures = args.contains("save") || args.value("view", false);
     if (pictures && args.value("streams", std::vector<std::string>{}).size() != 1)
         return "--save and --view need the name of one stream, such as camera";
     if (args.contains("save"))
         args["save"] = std::filesystem::absolute(args.at("save").get<std::string>()).string();
+    if (args.value("view", false)) args["desktop"] = Desktop::here().json();
     return {};
 }
 
@@ -134,7 +108,7 @@ int watch(Session& session) {
     const auto listening = listenTo(session, found.value());
     const auto mailbox = session.mailbox;
     const auto call = callOf(session, found.value());
-    auto pictures = pictureFile(session, call);
+    auto pictures = pictureFile(session, found.value());
     if (!pictures) return misused(session, pictures.refusal().message, {});
     const auto watching = session.station->watch(
         found->id, session.args.value("streams", std::vector<std::string>{}),

@@ -8,13 +8,11 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <charconv>
 #include <chrono>
 #include <map>
 #include <stdexcept>
 #include <system_error>
 #include <utility>
-#include <vector>
 
 #include "entity_manager/storage/state_files.hpp"
 
@@ -26,10 +24,8 @@ namespace {
 
 constexpr std::chrono::seconds kTryAgain{1};
 constexpr const char* kExtension = ".state";
-// Of releases that named a file by the digits of its key.
+// Of builds before the first release, which no release reads.
 constexpr const char* kOldExtension = ".value";
-/// Says that nothing in the folder has an old name any more.
-constexpr const char* kRenamed = "renamed";
 
 [[noreturn]] void fail(const char* what, const fs::path& path) {
     throw std::system_error(errno, std::generic_category(), std::string(what) + ' ' + path.string());
@@ -56,58 +52,15 @@ Descriptor lockFolder(const fs::path& folder) {
     return file;
 }
 
-/// The key that an old name stands for; nothing if it is none.
-std::optional<std::string> keyOfOldName(const std::string& digits) {
-    if (digits.empty() || digits.size() % 2 != 0) return std::nullopt;
-    std::string key;
-    for (std::size_t i = 0; i < digits.size(); i += 2) {
-        unsigned byte = 0;
-        const auto* end = digits.data() + i + 2;
-        const auto read = std::from_chars(digits.data() + i, end, byte, 16);
-        if (read.ec != std::errc{} || read.ptr != end) return std::nullopt;
-        key += static_cast<char>(byte);
-    }
-    return hex(key) == digits ? std::optional(key) : std::nullopt;
-}
-
-void synchronise(const fs::path& folder) {
-    if (!synchroniseFolder(folder)) fail("cannot write", folder);
-}
-
-void removeFile(const fs::path& path) {
-    if (::unlink(path.c_str()) != 0 && errno != ENOENT) fail("cannot delete", path);
-}
-
-/// Gives files of old releases their new names. It may be killed at any moment, and goes on when it is called
-/// again.
-void renameOldFiles(const fs::path& folder) {
-    std::map<fs::path, std::string> old;  // and the key of each
-    std::vector<fs::path> present;
+void refuseOldFiles(const fs::path& folder) {
     for (const auto& entry : fs::directory_iterator(folder)) {
-        const auto& path = entry.path();
-        if (path.extension() == kExtension) present.push_back(path);
-        if (path.extension() != kOldExtension) continue;
-        if (const auto key = keyOfOldName(path.stem().string())) old.emplace(path, *key);
+        if (entry.path().extension() != kOldExtension) continue;
+        throw std::runtime_error(
+            "the state folder " + folder.string() + " has " + entry.path().filename().string() +
+            ", a file of a build before 0.1, which this release does not read; fix: name "
+            "another folder with --state DIR (Axon.State), or empty this one: either "
+            "way the entity is a new one, with another UUID");
     }
-    const auto marker = folder / kRenamed;
-    if (!old.empty() && fs::exists(marker)) {
-        // An old release has run since, and knew nothing of what has new names. In this order: while the
-        // marker is there, nothing has been renamed again.
-        for (const auto& path : present) removeFile(path);
-        synchronise(folder);
-        removeFile(marker);
-        synchronise(folder);
-    }
-    for (const auto& [path, key] : old) {
-        const auto place = folder / (safeName(key) + kExtension);
-        if (::rename(path.c_str(), place.c_str()) != 0) fail("cannot rename", path);
-        removeFile(path.string() + ".new");
-    }
-    if (!old.empty()) synchronise(folder);
-    if (fs::exists(marker)) return;
-    const File made(marker, O_WRONLY | O_CREAT);
-    if (!made.isOpen() || ::fsync(made.fd()) != 0) fail("cannot write", marker);
-    synchronise(folder);
 }
 
 }  // namespace
@@ -115,7 +68,7 @@ void renameOldFiles(const fs::path& folder) {
 FileStorage::FileStorage(fs::path folder, std::function<void()> on_thread) : folder_(std::move(folder)) {
     makeFolder(folder_);
     lock_ = lockFolder(folder_);
-    renameOldFiles(folder_);
+    refuseOldFiles(folder_);
     thread_ = std::thread([this, on_thread = std::move(on_thread)] {
         if (on_thread) on_thread();
         run();

@@ -23,9 +23,8 @@ namespace axon::entity_manager {
 /// Failure: std::system_error with the file's name.
 class FileStorage final : public Storage {
   public:
-    /// Makes the folder (mode 0700) where it is missing. Files of releases that named them by the hexadecimal
-    /// digits of the key get their new names, and take the place of what is there under new names if such a
-    /// release has run since. `on_thread` is called first on its thread.
+    /// Makes the folder (mode 0700) where it is missing. A folder with files *.value, of builds before 0.1,
+    /// is a std::runtime_error that says what to do. `on_thread` is called first on its thread.
     explicit FileStorage(std::filesystem::path folder, std::function<void()> on_thread = {});
     /// Tries once more to write what waits.
     ~FileStorage() override;

@@ -95,7 +95,7 @@ TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
     storage.save("../../etc/uuid", std::string("two\0x", 5));
     EXPECT_EQ(storage.load("../../etc/uuid"), std::string("two\0x", 5));
     EXPECT_EQ(storage.load("other"), std::nullopt);
-    EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 3) << "and the lock, and the marker";
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 2) << "and the lock";
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), {}), 1);
 }
 
@@ -106,47 +106,20 @@ TEST_F(Folder, AValueLiesInAFileOfItsName) {
               fs::perms::owner_read | fs::perms::owner_write);
 }
 
-/// As releases before 0.1 kept it.
-void keepAsBefore(const fs::path& folder, const std::string& key, const std::string& value) {
-    std::ofstream(folder / (hex(key) + ".value"), std::ios::binary) << value;
-}
-
-TEST_F(Folder, WhatAnOldReleaseKeptIsThereUnderItsNewName) {
-    keepAsBefore(folder, "uuid", "one");
-    keepAsBefore(folder, "../x", "two");
-    std::ofstream(folder / (hex("uuid") + ".value.new")) << "half";
-    std::ofstream(folder / "notes.value") << "somebody's own";
-    {
-        FileStorage storage(folder);
-        EXPECT_EQ(storage.load("uuid"), "one");
-        EXPECT_EQ(storage.load("../x"), "two");
+TEST_F(Folder, OneOfABuildBeforeTheFirstReleaseIsRefusedAndLeftAlone) {
+    FileStorage(folder).save("free", "1");
+    std::ofstream(folder / "75756964.value") << "one";
+    try {
+        const FileStorage storage(folder);
+        FAIL() << "it was used";
+    } catch (const std::runtime_error& error) {
+        EXPECT_THAT(error.what(), testing::HasSubstr(folder.string() + " has 75756964.value"));
+        EXPECT_THAT(error.what(), testing::HasSubstr("fix: name another folder with --state DIR"));
     }
-    EXPECT_TRUE(fs::exists(folder / "uuid.state"));
-    EXPECT_FALSE(fs::exists(folder / (hex("uuid") + ".value")));
-    EXPECT_FALSE(fs::exists(folder / (hex("uuid") + ".value.new")));
-    EXPECT_EQ(content((folder / "notes.value").string()), "somebody's own");
-    EXPECT_EQ(FileStorage(folder).load("uuid"), "one") << "and in the next life";
-}
-
-TEST_F(Folder, ARenamingThatWasBrokenOffGoesOn) {
-    keepAsBefore(folder, "uuid", "one");
-    std::ofstream(folder / "free.state") << "1";  // renamed already; the marker is written at the end
-    FileStorage storage(folder);
-    EXPECT_EQ(storage.load("uuid"), "one");
-    EXPECT_EQ(storage.load("free"), "1");
-}
-
-TEST_F(Folder, WhatAnOldReleaseKeptLaterCountsAlone) {
-    {
-        FileStorage storage(folder);
-        storage.save("uuid", "new");
-        storage.save("free", "1");
-    }
-    // An old release is started again, and latches the robot: it keeps no "free".
-    keepAsBefore(folder, "uuid", "old");
-    FileStorage storage(folder);
-    EXPECT_EQ(storage.load("uuid"), "old");
-    EXPECT_EQ(storage.load("free"), std::nullopt) << "the robot is latched";
+    EXPECT_EQ(content((folder / "75756964.value").string()), "one");
+    EXPECT_EQ(content((folder / "free.state").string()), "1");
+    fs::remove(folder / "75756964.value");
+    EXPECT_EQ(FileStorage(folder).load("free"), "1");
 }
 
 /// What a loss of power leaves of a write that was not over: the beginning of the new file, of any length.
