@@ -183,7 +183,7 @@ class BareSystem(Test):
         if done.returncode != 0 or "Failed to fetch" in done.stdout:
             raise Unavailable("apt in the bare system cannot reach its mirror")
         # The compiler is what the lessons about programs of one's own ask for.
-        done = system.run_outside("sh", "-c", "apt-get install -y --download-only g++ cmake /mnt/*.deb")
+        done = system.run_outside("sh", "-c", "apt-get install -y --download-only g++ cmake make /mnt/*.deb")
         self.assertEqual(done.returncode, 0, done.stdout)
 
     def ok(self, *words, **options):
@@ -233,7 +233,7 @@ class BareSystem(Test):
         self.ok("runuser", "-u", "axon", "--", "grep", "-q", "^client1 operator", "/etc/axon/users.cfg")
 
     def the_lessons_go_as_they_are_printed(self):
-        self.ok("apt-get", "install", "-y", "g++", "cmake")
+        self.ok("apt-get", "install", "-y", "g++", "cmake", "make")
         failed = []
         for page in sorted(path.name for path in (self.folder / "lessons/docs/tutorials").glob("*.md")):
             done = self.system.run("python3", "/mnt/lessons/tests/tutorials/page_test.py", f"/mnt/lessons/docs/tutorials/{page}", "--installed", timeout=600)
