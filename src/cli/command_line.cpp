@@ -12,6 +12,7 @@
 #include "cli/common_options.hpp"
 #include "cli/password.hpp"
 #include "cli/synopsis.hpp"
+#include "common/release.hpp"
 #include "messages/text.hpp"
 
 namespace axon::cli {
@@ -309,7 +310,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
     app.formatter(formatter);
     app.footer(kRootFooter);
     declareCommon(app, line.settings);
-    app.set_version_flag("--version", std::string("axon ") + AXON_VERSION);
+    app.set_version_flag("--version", std::string("axon ") + kRelease);
     // A plain list of verbs, not each one's whole help.
     std::map<std::string, CLI::App*> groups;
     for (const auto* verb : verbs()) {

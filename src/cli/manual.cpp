@@ -11,6 +11,7 @@
 
 #include "cli/common_options.hpp"
 #include "cli/synopsis.hpp"
+#include "common/release.hpp"
 #include "messages/text.hpp"
 
 namespace axon::cli {
@@ -70,7 +71,7 @@ std::string paragraph(const std::string& tag, std::string_view text) {
 }
 
 std::string title(const std::string& name) {
-    return fmt::format(".TH {} 1 \"\" \"axon {}\" \"Axon\"\n", troff(name), AXON_VERSION);
+    return fmt::format(".TH {} 1 \"\" \"axon {}\" \"Axon\"\n", troff(name), kRelease);
 }
 
 /// A name and what it is, as the NAME section needs it: no full stop, one line.

@@ -15,6 +15,7 @@
 #include "client/connection/server_connection.hpp"
 #include "client/direct/may_open.hpp"
 #include "client/direct/network_path.hpp"
+#include "transport/ice/contract.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/sessions/routed_session.hpp"
 
@@ -84,7 +85,8 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
           [this](const std::string& entity, std::int64_t sequence, std::int32_t generation) {
               datagrams_.stop(entity, sequence, generation);
           },
-          [this] { threads_.stops.wake(); }) {}
+          [this] { threads_.stops.wake(); }),
+      releases_("this client", transport::ourContract()) {}
 
 Client::Session::~Session() {
     close();
@@ -476,6 +478,10 @@ void Client::Session::newServerText(std::uint64_t attempt, int code, const std::
 
 void Client::Session::newServerHeartbeat(std::uint64_t attempt) {
     onCore(attempt, [&](SessionCore& core) { core.onServerHeartbeat(); });
+}
+
+void Client::Session::newServerRelease(const std::string& release) {
+    if (const auto note = releases_.onPeer("a server", release)) log().info("client: {}", *note);
 }
 
 void Client::Session::onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) {

@@ -23,6 +23,7 @@
 #include "client/sending/departure.hpp"
 #include "client/sending/message_sender.hpp"
 #include "client/sending/stop_sender.hpp"
+#include "common/release.hpp"
 #include "common/snapshot.hpp"
 
 namespace axon::client {
@@ -108,6 +109,7 @@ class Client::Session final : public LeaseOffers,
     void newStopAccepted(std::uint64_t attempt, const Header& head, int entities) override;
     void newServerText(std::uint64_t attempt, int code, const std::string& text) override;
     void newServerHeartbeat(std::uint64_t attempt) override;
+    void newServerRelease(const std::string& release) override;
     void closed(std::uint64_t attempt, const std::string& reason) override { lost(attempt, reason); }
 
     // DirectPathEvents: threads of LaneReaders and of Ice.
@@ -170,6 +172,7 @@ class Client::Session final : public LeaseOffers,
 
     Snapshot<ServerConnection> connection_{nullptr};
     Reconnection reconnection_;
+    ReleaseNotes releases_;
     std::atomic<bool> closing_{false};
     std::atomic<bool> give_up_{false};  // the program does not return from its callbacks
     std::once_flag closed_once_;

@@ -496,6 +496,8 @@ void Communicator::linkWith(Handshakes::Pair pair) {
     watched_ =
         std::make_shared<Link>(std::move(pair.signal), std::move(pair.signal_reader), std::move(pair.data),
                                std::move(pair.data_reader), pair.manager, data_wake_);
+    if (auto text = releases_.onPeer("an Entity Manager", pair.release))
+        note(LogLevel::Info, std::move(*text));
     manager_.setTimeouts(pair.watchdog_busy, pair.watchdog_idle, now());
     manager_.setBusy(false, now());
     manager_.suspendGaps();  // until the first beat

@@ -14,6 +14,7 @@
 
 #include "common/clock.hpp"
 #include "common/liveness.hpp"
+#include "common/release.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "entity_interfacer/handshakes.hpp"
 #include "entity_interfacer/link.hpp"
@@ -200,6 +201,7 @@ class Communicator : private Handshakes::Others {
     // Watch thread
     std::shared_ptr<Link> watched_;
     Handshakes handshakes_;
+    ReleaseNotes releases_{"this robot application", "protocol " + std::to_string(Handshakes::kProtocol)};
     TimePoint next_beat_{};
     std::uint64_t beat_sequence_ = 0;
     TimePoint slow_warn_again_{};

@@ -12,6 +12,7 @@
 #include <cstring>
 
 #include "common/message_frame.hpp"
+#include "common/release.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 
 namespace axon {
@@ -19,7 +20,6 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr std::uint32_t kProtocol = 1;
 constexpr auto kHelloTime = 1s;
 constexpr auto kOutOfDescriptors = 100ms;
 
@@ -139,8 +139,11 @@ bool Handshakes::onHello(Pending& pending, const proto::Hello& hello) {
         return true;
     };
     if (hello.protocol() != kProtocol)
-        return no(RefusalCode::NotSupported, "protocol " + std::to_string(hello.protocol()) +
-                                                 ": expected 1; fix: use an Entity Manager of this version");
+        return no(RefusalCode::NotSupported,
+                  "protocol " + std::to_string(hello.protocol()) +
+                      (isRelease(hello.release()) ? " of release " + hello.release() : "") + ": expected " +
+                      std::to_string(kProtocol) + "; fix: use an Entity Manager of this version (" +
+                      kRelease + ")");
     if (hello.application() != application_)
         return no(RefusalCode::UnknownEntity,
                   "this is the robot application '" + application_ +
@@ -169,6 +172,7 @@ bool Handshakes::onHello(Pending& pending, const proto::Hello& hello) {
                                                     ") is linking with '" + application_ + "'");
         pending.nonce = hello.nonce();
         pending.manager = hello.manager();
+        pending.release = hello.release();
         pending.busy = watchdogFrom(hello.watchdog_busy_ms(), 250ms);
         pending.idle = watchdogFrom(hello.watchdog_idle_ms(), 500ms);
         welcome(pending, hello, nullptr);
@@ -182,7 +186,7 @@ bool Handshakes::onHello(Pending& pending, const proto::Hello& hello) {
                   "another Entity Manager (" + half->manager + ") is linking with '" + application_ + "'");
     welcome(pending, hello, nullptr);
     others_.linkWith({std::move(half->socket), std::move(half->reader), std::move(pending.socket),
-                      std::move(pending.reader), half->manager, half->busy, half->idle});
+                      std::move(pending.reader), half->manager, half->release, half->busy, half->idle});
     // The half itself goes at its deadline; without a nonce it reserves nothing, without a socket it reads
     // nothing.
     half->nonce.clear();
@@ -205,6 +209,7 @@ void Handshakes::welcome(Pending& pending, const proto::Hello& hello, const prot
     welcome.set_instance(instance_);
     welcome.set_lane(hello.lane());
     welcome.set_nonce(hello.nonce());
+    welcome.set_release(kRelease);
     if (refusal != nullptr) *welcome.mutable_refusal() = *refusal;
     std::string frame;
     appendFrameOf(frame, message);

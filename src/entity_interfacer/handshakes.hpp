@@ -36,6 +36,7 @@ namespace axon {
 class Handshakes {
   public:
     static constexpr std::size_t kMax = 32;
+    static constexpr std::uint32_t kProtocol = 1;
 
     /// The two connections of an Entity Manager that is welcome on both lanes, and what it has said of
     /// itself.
@@ -45,6 +46,7 @@ class Handshakes {
         Descriptor data;
         FrameReader data_reader;
         std::string manager;
+        std::string release;  ///< that it has told, whatever that is; bounded by its frame
         std::chrono::milliseconds watchdog_busy, watchdog_idle;
     };
     /// What it asks of whoever owns the links.
@@ -83,7 +85,7 @@ class Handshakes {
         Descriptor socket;
         FrameReader reader{kHelloMax};
         TimePoint deadline;
-        std::string nonce, manager;  // once its Hello for the signal lane is accepted
+        std::string nonce, manager, release;  // once its Hello for the signal lane is accepted
         std::chrono::milliseconds busy{0}, idle{0};
     };
     static constexpr std::size_t kHelloMax = 4096;

@@ -13,6 +13,7 @@
 #include <memory>
 #include <utility>
 
+#include "common/release.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "support/loopback.hpp"
 
@@ -49,6 +50,7 @@ class Peer {
         std::string payload;
         proto::EiToEm message;
         EXPECT_TRUE(reader.next(payload) && message.ParseFromString(payload) && message.has_welcome());
+        welcome = message.welcome();
         return static_cast<RefusalCode>(message.welcome().refusal().code());
     }
     /// Whether it is closed, soon.
@@ -61,6 +63,8 @@ class Peer {
         char byte = 0;
         return ::recv(socket_.get(), &byte, 1, MSG_DONTWAIT | MSG_PEEK) < 0;
     }
+
+    proto::Welcome welcome;  // that has come
 
   private:
     Descriptor socket_;
@@ -133,6 +137,32 @@ TEST_F(TheHandshakes, BothLanesOfOneEntityManagerBecomeALink) {
     EXPECT_EQ(pairs[0].watchdog_idle, 500ms) << "the usual one";
     step();
     EXPECT_EQ(due, TimePoint::max()) << "nothing is left of it here";
+}
+
+TEST_F(TheHandshakes, BothTellTheirRelease) {
+    auto signal = hello(proto::LANE_SIGNAL);
+    signal.mutable_hello()->set_release("7.1");
+    answerTo(signal);
+    EXPECT_EQ(peers.back()->welcome.release(), kRelease);
+    answerTo(hello(proto::LANE_DATA));
+    ASSERT_EQ(pairs.size(), 1U);
+    EXPECT_EQ(pairs[0].release, "7.1");
+}
+
+TEST_F(TheHandshakes, ARefusalForTheProtocolNamesTheReleasesWhereTheyAreSome) {
+    auto message = hello(proto::LANE_SIGNAL);
+    message.mutable_hello()->set_protocol(2);
+    const auto refusal = [&](const std::string& release) {
+        message.mutable_hello()->set_release(release);
+        EXPECT_EQ(answerTo(message), RefusalCode::NotSupported);
+        return peers.back()->welcome.refusal().message();
+    };
+    const auto rest =
+        std::string(": expected 1; fix: use an Entity Manager of this version (") + kRelease + ")";
+    EXPECT_EQ(refusal("7.1"), "protocol 2 of release 7.1" + rest);
+    EXPECT_EQ(refusal(""), "protocol 2" + rest);
+    EXPECT_EQ(refusal("7\n"), "protocol 2" + rest);
+    EXPECT_EQ(refusal(std::string(kReleaseMax + 1, 'x')), "protocol 2" + rest);
 }
 
 TEST_F(TheHandshakes, TheSignalLaneComesFirst) {

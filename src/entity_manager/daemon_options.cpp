@@ -9,6 +9,7 @@
 #include <set>
 #include <stdexcept>
 
+#include "common/release.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
 #include "transport/ice/tls.hpp"
@@ -160,7 +161,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         "  axon-entity-manager --application hello\n"
         "  axon-entity-manager --application peoplebot --server lab.example:10412 --config "
         "entitymanager.cfg\n"};
-    app.set_version_flag("--version", AXON_VERSION);
+    app.set_version_flag("--version", std::string("axon-entity-manager ") + kRelease);
     std::string config, application, instance, server, ports, ports_file, users, address, state, log_level;
     app.add_option(
         "-c,--config", config,

@@ -358,6 +358,10 @@ void EntityManager::onLinkSlow(const std::string& what) {
                  name_, what);
 }
 
+void EntityManager::onLinkRelease(const std::string& note) {
+    spdlog::info("{}: {}", name_, note);
+}
+
 void EntityManager::onLinkMessage(const proto::EiToEm& message) {
     if (core_->onLinkMessage(message)) afterEvents();
 }

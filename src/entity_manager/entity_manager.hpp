@@ -114,6 +114,7 @@ class EntityManager final : public ServerEvents,
     void onLinkRefused(const Refusal& refusal) override;
     void onLinkSought(const SearchReport& report) override;
     void onLinkSlow(const std::string& what) override;
+    void onLinkRelease(const std::string& note) override;
 
     /// To the robot, and into the inbox. The executor, whose lock everything takes, is woken after it.
     Inbox::Verdict passStop(Header head, StopCause cause);

@@ -194,6 +194,7 @@ struct EntitySessions {
     using Gate = EntityGateServant;
     using Listener = FrontEndToEntityServant;
     static constexpr const char* kServer = "EntityServer";
+    static constexpr const char* kPeer = "an Entity Manager";
     static constexpr const char* kGate = "EntityGate";
     static constexpr const char* kTimer = "axon-ent-timer";
     static constexpr auto kVerify = &transport::Logins::entity;

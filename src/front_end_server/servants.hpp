@@ -175,6 +175,7 @@ struct ClientSessions {
     using Gate = ClientGateServant;
     using Listener = EntityToFrontEndServant;
     static constexpr const char* kServer = "FrontEndServer";
+    static constexpr const char* kPeer = "a client";
     static constexpr const char* kGate = "ClientGate";
     static constexpr const char* kTimer = "axon-fe-timer";
     static constexpr auto kVerify = &transport::Logins::client;

@@ -11,8 +11,8 @@
 #include <set>
 #include <stdexcept>
 
+#include "common/release.hpp"
 #include "server/users.hpp"
-#include "server/version.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
 #include "transport/process/logging.hpp"
@@ -179,7 +179,7 @@ Parsed parseOptions(int argc, char** argv) {
     CLI::App app{
         "The Axon server: entities and clients connect to it. Without options it serves this machine only."};
     app.name("axon-server");
-    app.set_version_flag("--version", std::string("axon-server ") + kVersion);
+    app.set_version_flag("--version", std::string("axon-server ") + kRelease);
     std::vector<std::string> files;
     std::string listen;
     std::string role = "both";

@@ -23,11 +23,13 @@
 #include <future>
 #include <mutex>
 #include <thread>
+#include <type_traits>
 #include <utility>
 
 #include "common/descriptor.hpp"
 #include "common/frame.hpp"
 #include "common/ids.hpp"
+#include "common/release.hpp"
 #include "entity_manager/links/back_end/back_end_interface.hpp"
 #include "support/loopback.hpp"
 
@@ -146,6 +148,14 @@ class Manager : public BackEndEvents {
         const std::lock_guard lock(mutex_);
         sought_ = report;
     }
+    void onLinkRelease(const std::string& note) override {
+        const std::lock_guard lock(mutex_);
+        release_notes_.push_back(note);
+    }
+    std::vector<std::string> releaseNotes() {
+        const std::lock_guard lock(mutex_);
+        return release_notes_;
+    }
     entity_manager::SearchReport sought() {
         const std::lock_guard lock(mutex_);
         return sought_;
@@ -234,6 +244,7 @@ class Manager : public BackEndEvents {
     std::optional<LinkEnd> down_end_;
     Refusal refusal_;
     entity_manager::SearchReport sought_;
+    std::vector<std::string> release_notes_;
     std::thread thread_;
 };
 
@@ -294,13 +305,16 @@ class RawSocket {
     }
     RawSocket accept() { return RawSocket(Descriptor(::accept(fd(), nullptr, nullptr))); }
     void write(const std::string& bytes) { (void)::send(fd(), bytes.data(), bytes.size(), MSG_NOSIGNAL); }
-    void write(const proto::EmToEi& message) {
+    template <class Message>
+    requires std::is_base_of_v<google::protobuf::Message, Message>
+    void write(const Message& message) {
         std::string frame;
         appendFrame(frame, message.SerializeAsString());
         write(frame);
     }
     /// Nothing when the peer closes, or is silent for five seconds.
-    std::optional<proto::EiToEm> read() {
+    template <class Message = proto::EiToEm>
+    std::optional<Message> read() {
         std::string payload;
         while (!reader_.next(payload)) {
             char bytes[4096];
@@ -308,7 +322,7 @@ class RawSocket {
             if (got <= 0) return std::nullopt;
             reader_.feed({bytes, static_cast<std::size_t>(got)});
         }
-        proto::EiToEm message;
+        Message message;
         if (!message.ParseFromString(payload)) return std::nullopt;
         return message;
     }
@@ -1748,6 +1762,101 @@ TEST(Link, ASecondManagerIsRefusedWithATypedErrorAndTakesOverLater) {
     EXPECT_EQ(first->downs, 0);
     first.reset();
     EXPECT_TRUE(waitUntil([&] { return second.linked(); }));
+}
+
+/// What an application has logged about releases.
+class ReleaseLog {
+  public:
+    explicit ReleaseLog(EntityInterfacer::Options& of) {
+        of.logger = [this](LogLevel level, const std::string& text) {
+            const std::lock_guard lock(mutex_);
+            if (text.find("release") == std::string::npos) return;
+            EXPECT_EQ(level, LogLevel::Info);
+            lines_.push_back(text);
+        };
+    }
+    std::vector<std::string> lines() {
+        const std::lock_guard lock(mutex_);
+        return lines_;
+    }
+
+  private:
+    std::mutex mutex_;
+    std::vector<std::string> lines_;
+};
+
+TEST(Link, EndsOfOneReleaseSayNothingOfIt) {
+    auto its = options("Same");
+    ReleaseLog log(its);
+    EntityInterfacer interfacer(its);
+    interfacer.start();
+    Manager manager("Same");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    interfacer.shutdown();
+    EXPECT_TRUE(log.lines().empty());
+    EXPECT_TRUE(manager.releaseNotes().empty());
+}
+
+TEST(Link, AnApplicationSaysOnceThatItsManagerHasAnotherRelease) {
+    auto its = options("Older");
+    ReleaseLog log(its);
+    EntityInterfacer interfacer(its);
+    interfacer.start();
+    for (const std::string release : {"7.1", "7.1", "\x1b[2J of nobody"}) {
+        RawSocket signal, data;
+        auto hello = helloOf("Older", proto::LANE_SIGNAL, "12345678");
+        hello.mutable_hello()->set_release(release);
+        ASSERT_TRUE(waitUntil([&] {  // the link before has to end
+            signal = RawSocket();
+            if (!signal.connect(interfacer.port())) return false;
+            signal.write(hello);
+            const auto answer = signal.read();
+            return answer && answer->welcome().refusal().code() == proto::OK;
+        }));
+        ASSERT_TRUE(data.connect(interfacer.port()));
+        data.write(helloOf("Older", proto::LANE_DATA, "12345678"));
+        const auto answer = data.read();
+        ASSERT_TRUE(answer && answer->welcome().refusal().code() == proto::OK);
+        EXPECT_EQ(answer->welcome().release(), kRelease);
+        ASSERT_TRUE(waitUntil([&] { return interfacer.linked(); }));
+    }
+    ASSERT_TRUE(waitUntil([&] { return log.lines().size() == 2; }));
+    EXPECT_EQ(log.lines()[0],
+              std::string("connected with an Entity Manager of release 7.1, this robot application has ") +
+                  kRelease + "; they work together, because both have protocol 1");
+    EXPECT_NE(log.lines()[1].find(R"(of an unknown release ('\x1b[2J of nobody'))"), std::string::npos)
+        << log.lines()[1];
+}
+
+TEST(Link, AManagerSaysOnceThatItsApplicationHasAnotherRelease) {
+    RawSocket application;
+    ASSERT_TRUE(application.listen(5500));
+    Manager manager("Newer", {5500, 5500});
+    for (const std::string release : {"7.1", "7.1", "7.2"}) {
+        const auto before = manager.ups.load();
+        std::vector<RawSocket> lanes;
+        while (lanes.size() < 2) {
+            lanes.push_back(application.accept());
+            const auto hello = lanes.back().read<proto::EmToEi>();
+            ASSERT_TRUE(hello && hello->has_hello());
+            EXPECT_EQ(hello->hello().release(), kRelease);
+            proto::EiToEm answer;
+            auto& welcome = *answer.mutable_welcome();
+            welcome.set_protocol(1);
+            welcome.set_application("Newer");
+            welcome.set_lane(hello->hello().lane());
+            welcome.set_nonce(hello->hello().nonce());
+            welcome.set_release(release);
+            lanes.back().write(answer);
+        }
+        ASSERT_TRUE(waitUntil([&] { return manager.ups > before; }));
+    }
+    const auto notes = manager.releaseNotes();
+    ASSERT_EQ(notes.size(), 2U);
+    EXPECT_EQ(notes[0],
+              std::string("connected with a robot application of release 7.1, this Entity Manager has ") +
+                  kRelease + "; they work together, because both have protocol 1");
+    EXPECT_NE(notes[1].find("release 7.2"), std::string::npos) << notes[1];
 }
 
 TEST(Link, ForeignAndSilentListenersInTheRangeArePassedOver) {

@@ -48,6 +48,12 @@ class Log {
     std::vector<std::string> lines_;  // guarded by mutex_
 };
 
+/// " heartbeat of 0.1.0" where the server tells its release.
+inline std::string heartbeatLine(const Ice::Current& current) {
+    const auto release = transport::releaseIn(current.ctx);
+    return release.empty() ? " heartbeat" : " heartbeat of " + release;
+}
+
 /// The two lanes of a peer that speaks the contracts without any library of ours: docs/reference/sessions.md,
 /// step by step.
 template <class GatePrx, class SessionPrx, class CallbackPrx>
@@ -229,7 +235,9 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
             entity_.log.add((lane_ == "signal" ? "signal refused " : "refused ") + std::to_string(code) +
                             " " + head.msgType);
         }
-        void newHeartbeat(double, const Ice::Current&) override { entity_.log.add(lane_ + " heartbeat"); }
+        void newHeartbeat(double, const Ice::Current& current) override {
+            entity_.log.add(lane_ + heartbeatLine(current));
+        }
 
       private:
         void wait() const { entity_.stalled.wait(true); }
@@ -335,7 +343,9 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
         void newUpdateMsg(int, std::string text, const Ice::Current&) override {
             client_.log.add("update " + text);
         }
-        void newHeartbeat(double, const Ice::Current&) override { client_.log.add(lane_ + " heartbeat"); }
+        void newHeartbeat(double, const Ice::Current& current) override {
+            client_.log.add(lane_ + heartbeatLine(current));
+        }
 
       private:
         void wait() const { client_.stalled.wait(true); }

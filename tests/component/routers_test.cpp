@@ -9,8 +9,10 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <Glacier2/Router.h>
 #include <axon/messages.pb.h>
 #include <axon/profile.pb.h>
+#include <spdlog/spdlog.h>
 #include <asio/io_context.hpp>
 #include <asio/post.hpp>
 #include <asio/strand.hpp>
@@ -20,10 +22,12 @@
 #include <sstream>
 #include <thread>
 
+#include "common/release.hpp"
 #include "component/raw_peers.hpp"
 #include "entity_manager/links/server/entity_communicator.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
 #include "server/server.hpp"
+#include "support/log_lines.hpp"
 #include "support/loopback.hpp"
 
 namespace axon::test {
@@ -139,6 +143,21 @@ TEST_F(BehindARouter, MessagesAndStopsGoBothWays) {
     client.stop(kEntity);
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested client1@lab"); }));
     EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 1"); }));
+}
+
+TEST_F(BehindARouter, TheServerTellsItsReleaseAndHearsThatOfTheClient) {
+    const auto lines = std::make_shared<LogLines>();
+    const auto before = spdlog::default_logger();
+    spdlog::set_default_logger(std::make_shared<spdlog::logger>("", lines));
+    const auto communicator = transport::makeCommunicator({});
+    auto context = transport::contractContext();
+    context[transport::kContextRelease] = "7.1";
+    Ice::uncheckedCast<Glacier2::RouterPrx>(communicator->stringToProxy(router.proxy))
+        ->createSession("client1", "secret1", context);
+    spdlog::set_default_logger(before);
+    EXPECT_TRUE(lines->has("connected with a client of release 7.1, this server has ")) << lines->all();
+    const RawClient client(both());
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("signal heartbeat of ") + kRelease); }));
 }
 
 TEST_F(BehindARouter, LeaveIsTheOrderlyEndAndDestroyMeansLost) {

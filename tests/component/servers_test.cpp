@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <axon/messages.pb.h>
+#include <spdlog/spdlog.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -14,10 +15,12 @@
 #include <filesystem>
 #include <fstream>
 
+#include "common/release.hpp"
 #include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
 #include "server/options.hpp"
 #include "server/users.hpp"
+#include "support/log_lines.hpp"
 
 namespace axon::test {
 namespace {
@@ -619,6 +622,72 @@ TEST_F(Servers, RefuseWhoHasAnotherContract) {
                 << identity << ' ' << address << ' ' << number;
         EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(kOurs)}}), RefusalCode::Ok);
     }
+}
+
+/// How often the part is in the text.
+std::size_t count(const std::string& text, const std::string& part) {
+    std::size_t found = 0;
+    for (auto at = text.find(part); at != std::string::npos; at = text.find(part, at + 1)) ++found;
+    return found;
+}
+
+TEST_F(Servers, SayOnceOfEachKindOfPeerThatItHasAnotherRelease) {
+    const auto lines = std::make_shared<LogLines>();
+    const auto before = spdlog::default_logger();
+    spdlog::set_default_logger(std::make_shared<spdlog::logger>("", lines));
+    const auto communicator = transport::makeCommunicator({});
+    const auto open = [&](const std::string& identity, const std::string& address, const char* release) {
+        auto context = transport::contractContext();
+        context.erase(transport::kContextRelease);
+        if (release != nullptr) context[transport::kContextRelease] = release;
+        const auto proxy = communicator.communicator()
+                               ->stringToProxy(identity + ":" + transport::tcpEndpoint(address))
+                               ->ice_connectionId(Ice::generateUUID())
+                               ->ice_context(context);
+        if (identity == "ClientGate") {
+            Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(proxy)->open("", "", "one");
+        } else {
+            Ice::uncheckedCast<Axon::EntityComm::EntityGatePrx>(proxy)->open("", "");
+        }
+    };
+    for (const auto* release : {static_cast<const char*>(nullptr), "", kRelease})
+        for (const auto& [identity, address] :
+             {std::pair{"ClientGate", clients()}, std::pair{"EntityGate", entities()}})
+            open(identity, address, release);
+    EXPECT_EQ(lines->all().find("connected with"), std::string::npos) << lines->all();
+    const std::string long_one(1000, 'x');
+    for (const auto* release : {"7.1", "7.1", "7\n1\xff", long_one.c_str()}) {
+        open("ClientGate", clients(), release);
+        open("EntityGate", entities(), release);
+        open("ClientGate", server.clientAddress(Lane::Signal), "7.2");  // nobody has vouched for it
+    }
+    spdlog::set_default_logger(before);
+    const auto rest = std::string(", this server has ") + kRelease +
+                      "; they work together, because both have " + transport::ourContract() + "\n";
+    const auto all = lines->all();
+    for (const std::string peer : {"a client", "an Entity Manager"}) {
+        EXPECT_EQ(count(all, "connected with " + peer + " of release 7.1" + rest), 1U) << all;
+        EXPECT_EQ(count(all, "connected with " + peer + R"( of an unknown release ('7\x0a1\xff'))" + rest),
+                  1U)
+            << all;
+    }
+    EXPECT_EQ(count(all, "connected with"), 4U) << all;
+}
+
+TEST_F(Servers, TellTheirReleaseWithTheFirstHeartbeatOnly) {
+    RawEntity robot(entities(), kFirst);
+    robot.registration.heartbeat_idle_ms = 100;
+    robot.join();
+    const RawClient client(clients());
+    const RawClient browser(clients(), "browser", false);
+    const auto first = std::string(" heartbeat of ") + kRelease;
+    ASSERT_TRUE(waitUntil([&] {
+        robot.signal()->keepAlive(1);
+        return robot.log.count("signal heartbeat") > 3;
+    }));
+    EXPECT_EQ(robot.log.count("signal" + first), 1U);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal" + first); }));
+    EXPECT_TRUE(waitUntil([&] { return browser.log.has("data" + first); }));
 }
 
 TEST_F(Servers, ServeAClientWithoutASignalLane) {

@@ -236,8 +236,11 @@ class HostileTest(unittest.TestCase):
 
     def relay_of_edition(self, address, number):
         """A server's address, through which programs open their sessions under another number of the contracts."""
+        return self.relay(address, *(b"\x0daxon-contract\x01" + str(n).encode() for n in (CommUtil.ContractNumber, number)))
+
+    def relay(self, address, ours, theirs):
+        """A server's address, through which these bytes become those, in both directions."""
         host, port = address.rsplit(":", 1)
-        ours, theirs = (b"\x0daxon-contract\x01" + str(n).encode() for n in (CommUtil.ContractNumber, number))
         listener = socket.create_server((host, 0))
         self.addCleanup(listener.close)
 
@@ -264,10 +267,11 @@ class HostileTest(unittest.TestCase):
         return f"{host}:{listener.getsockname()[1]}"
 
     def test_programs_of_another_edition_say_both_numbers_and_what_to_upgrade(self):
-        ours = CommUtil.ContractNumber
+        ours, release = CommUtil.ContractNumber, self.release()
         env = {**self.lab.env, "AXON_USER": "ann", "AXON_PASSWORD": "word of ann"}
         for number, upgrade in ((ours - 1, "that program"), (ours + 1, "the server"), (ours, None)):
-            said = f"this server has contract {ours}, the program that opens the session has contract {number}; fix: upgrade {upgrade}"
+            said = (f"this server has contract {ours} (release {release}), the program that opens the session has contract {number} "
+                    f"(release {release}); fix: upgrade {upgrade}")
             with self.subTest(number=number, by="client"):
                 done = subprocess.run([self.lab.bin / "axon", "--server", self.relay_of_edition(self.lab.at["client"], number), "ls"],
                                       env=env, capture_output=True, text=True, timeout=30, check=False)
@@ -281,6 +285,29 @@ class HostileTest(unittest.TestCase):
                     wait_until(lambda: said in manager.text(), "it says so", 15)
                 else:
                     wait_until(lambda: "nobody is connected and not ready" in self.lab.server.text(), "it is let in", 15)
+
+    def release(self):
+        said = subprocess.run([self.lab.bin / "axon", "--version"], capture_output=True, text=True, timeout=30, check=True).stdout
+        return said.split()[-1]
+
+    def test_programs_of_another_release_work_together_and_say_so_once(self):
+        release = self.release()
+        other = "9" * len(release)
+        context = [b"\x0caxon-release" + bytes([len(release)]) + name.encode() for name in (release, other)]
+        env = {**self.lab.env, "AXON_USER": "ann", "AXON_PASSWORD": "word of ann"}
+        for _ in range(2):
+            done = subprocess.run([self.lab.bin / "axon", "--server", self.relay(self.lab.at["client"], *context), "ls"],
+                                  env=env, capture_output=True, text=True, timeout=30, check=False)
+            self.assertEqual(done.returncode, 0, done.stderr)
+        together = f"has {release}; they work together, because both have contract {CommUtil.ContractNumber}"
+        self.lab.start("other-release", "axon-entity-manager", "--server", self.relay(self.lab.at["entity"], *context),
+                       "--state", self.lab.folder / "other-release", "--application", "nobody",
+                       "--config", self.lab.folder / "manager.cfg")
+        wait_until(lambda: "nobody is connected and not ready" in self.lab.server.text(), "it is let in", 15)
+        for peer in ("a client", "an Entity Manager"):
+            said = f"connected with {peer} of release {other}, this server {together}"
+            wait_until(lambda: said in self.lab.server.text(), f"of {peer}", 15)
+            self.assertEqual(self.lab.server.text().count(said), 1)
 
     def test_lists_of_stops_hold_nobody_up(self):
         holder, entity = self.holder()

@@ -25,6 +25,7 @@
 #include "cli/words.hpp"
 #include "common/rate_limit.hpp"
 #include "common/refusal.hpp"
+#include "common/release.hpp"
 #include "host/port_range.hpp"
 #include "messages/text.hpp"
 
@@ -367,7 +368,7 @@ void checkPorts(Report& report) {
 
 int doctor(Session& session) {
     Report report(session.events);
-    report.ok("axon", std::string("version ") + AXON_VERSION);
+    report.ok("axon", std::string("version ") + kRelease);
     if (session.args.value("security", false)) {
         checkSecurity(report, session);
         checkAgent(report, session.settings);

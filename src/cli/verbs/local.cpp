@@ -7,6 +7,7 @@
 #include "cli/caretaker.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
+#include "common/release.hpp"
 #include "messages/profile_command.hpp"
 
 // axon profile, axon agent, axon version
@@ -82,7 +83,7 @@ std::string prepareAgent(Json& args) {
 }
 
 int version(Session& session) {
-    session.events.emit({{"event", "version"}, {"version", AXON_VERSION}});
+    session.events.emit({{"event", "version"}, {"version", kRelease}});
     return kDone;
 }
 

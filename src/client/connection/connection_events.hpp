@@ -25,6 +25,8 @@ class ConnectionEvents {
     virtual void newStopAccepted(std::uint64_t attempt, const Header& head, int entities) = 0;
     virtual void newServerText(std::uint64_t attempt, int code, const std::string& text) = 0;
     virtual void newServerHeartbeat(std::uint64_t attempt) = 0;
+    /// With the first of them: the release that the server says it has; anything up to kReleaseMax + 1 bytes.
+    virtual void newServerRelease(const std::string& release) = 0;
     /// One of the two connections has ended. May come before open() has returned.
     virtual void closed(std::uint64_t attempt, const std::string& reason) = 0;
 };

@@ -92,8 +92,11 @@ class CallbackServant final : public slice::ClientCallback {
     void newUpdateMsg(int code, std::string text, const Ice::Current&) override {
         tell([&](auto& events) { events.newServerText(attempt_, code, text); });
     }
-    void newHeartbeat(double, const Ice::Current&) override {
-        tell([&](auto& events) { events.newServerHeartbeat(attempt_); });
+    void newHeartbeat(double, const Ice::Current& current) override {
+        tell([&](auto& events) {
+            events.newServerHeartbeat(attempt_);
+            if (!current.ctx.empty()) events.newServerRelease(transport::releaseIn(current.ctx));
+        });
     }
 
   private:

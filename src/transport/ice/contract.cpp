@@ -7,6 +7,8 @@
 #include <string>
 #include <string_view>
 
+#include "common/release.hpp"
+
 namespace axon::transport {
 namespace {
 
@@ -33,11 +35,24 @@ std::optional<int> contractOfOther(const std::string& topic, const std::string& 
 }
 
 Ice::Context contractContext() {
-    return {{kContextContract, std::to_string(kOurs)}};
+    return {{kContextContract, std::to_string(kOurs)}, {kContextRelease, kRelease}};
+}
+
+Ice::Context releaseContext() {
+    return {{kContextRelease, kRelease}};
+}
+
+std::string releaseIn(const Ice::Context& of_peer) {
+    const auto found = of_peer.find(kContextRelease);
+    return found == of_peer.end() ? std::string() : found->second.substr(0, kReleaseMax + 1);
+}
+
+std::string ourContract() {
+    return "contract " + std::to_string(kOurs);
 }
 
 std::optional<Refusal> otherContract(const Ice::Context& of_peer) {
-    const auto ours = "this server has contract " + std::to_string(kOurs);
+    const auto ours = "this server has " + ourContract() + " (release " + kRelease + ")";
     const auto found = of_peer.find(kContextContract);
     if (found == of_peer.end())
         return Refusal{RefusalCode::NotSupported,
@@ -54,9 +69,11 @@ std::optional<Refusal> otherContract(const Ice::Context& of_peer) {
                 "'; expected a number in the request context axon-contract (CommUtil.ContractNumber)",
             {}};
     if (*theirs == kOurs) return std::nullopt;
+    const auto release = releaseIn(of_peer);
     return Refusal{RefusalCode::NotSupported,
                    ours + ", the program that opens the session has contract " + std::to_string(*theirs) +
-                       "; fix: upgrade " + (*theirs < kOurs ? "that program" : "the server"),
+                       (isRelease(release) ? " (release " + release + ")" : "") + "; fix: upgrade " +
+                       (*theirs < kOurs ? "that program" : "the server"),
                    {}};
 }
 

@@ -5,6 +5,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/release.hpp"
+
 namespace axon::transport {
 namespace {
 
@@ -25,7 +27,8 @@ TEST(Contract, AnotherIsRefusedWithBothNumbersAndWhatToUpgrade) {
     const auto older = withNumber(std::to_string(kOurs - 1));
     ASSERT_TRUE(older);
     EXPECT_EQ(older->code, RefusalCode::NotSupported);
-    EXPECT_THAT(older->message, HasSubstr("contract " + std::to_string(kOurs) + ","));
+    EXPECT_THAT(older->message,
+                HasSubstr("contract " + std::to_string(kOurs) + " (release " + kRelease + "),"));
     EXPECT_THAT(older->message, HasSubstr("contract " + std::to_string(kOurs - 1) + "; fix:"));
     EXPECT_THAT(older->message, EndsWith("upgrade that program"));
     const auto newer = withNumber(std::to_string(kOurs + 1));
@@ -33,6 +36,26 @@ TEST(Contract, AnotherIsRefusedWithBothNumbersAndWhatToUpgrade) {
     EXPECT_EQ(newer->code, RefusalCode::NotSupported);
     EXPECT_THAT(newer->message, HasSubstr("contract " + std::to_string(kOurs + 1) + "; fix:"));
     EXPECT_THAT(newer->message, EndsWith("upgrade the server"));
+}
+
+TEST(Contract, ARefusalNamesThePeersReleaseWhereThatIsOne) {
+    const auto refused = [](const std::string& release) {
+        return otherContract({{kContextContract, std::to_string(kOurs + 1)}, {kContextRelease, release}})
+            .value_or(Refusal{})
+            .message;
+    };
+    EXPECT_THAT(refused("7.1"), HasSubstr("contract " + std::to_string(kOurs + 1) + " (release 7.1); fix:"));
+    for (const std::string& hostile : {std::string(kReleaseMax + 1, 'x'), std::string("7\n"), std::string()})
+        EXPECT_THAT(refused(hostile), HasSubstr("contract " + std::to_string(kOurs + 1) + "; fix:"));
+}
+
+TEST(Contract, TheReleaseIsSentBesideItAndReadBounded) {
+    EXPECT_EQ(releaseIn(contractContext()), kRelease);
+    EXPECT_EQ(releaseIn(releaseContext()), kRelease);
+    EXPECT_EQ(releaseIn({}), "");
+    const auto cut = releaseIn({{kContextRelease, std::string(1'000'000, 'x')}});
+    EXPECT_EQ(cut.size(), kReleaseMax + 1);
+    EXPECT_FALSE(isRelease(cut));
 }
 
 TEST(Contract, NoneAndNonsenseAreRefused) {

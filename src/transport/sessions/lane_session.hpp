@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <Ice/Ice.h>
+#include <spdlog/spdlog.h>
 
 #include <atomic>
 #include <functional>
@@ -11,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/release.hpp"
 #include "transport/ice/adapter.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/connection_limits.hpp"
@@ -42,7 +44,14 @@ struct SessionLane {
     /// waits for a password.
     Logins* logins = nullptr;
     std::string server = {};  ///< its name, where there are several
+    /// Of the data lane. Null on the signal lane: its peer has told its release on the other one.
+    ReleaseNotes* releases = nullptr;
 
+    /// A session was opened for `peer` ("a client"), which has told this release.
+    void noteRelease(const std::string& peer, const std::string& release) const {
+        if (releases == nullptr) return;
+        if (const auto note = releases->onPeer(peer, release)) spdlog::info("{}", *note);
+    }
     /// Where this peer finds the signal lane, by the protocol that it came by; empty behind a
     /// router, which knows.
     std::string signalEndpoint(const PeerConnection& peer) const {
@@ -201,13 +210,14 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
     request.peer = DirectConnection::peerOf(*peer->get());
     request.local = DirectConnection::localOf(*peer->get());
     request.certificate = certificateOf(*peer->get());
-    Logins::Answer answer = [&lane, peer, adapter = current.adapter, opened = std::move(opened),
-                             refused = std::move(refused),
+    Logins::Answer answer = [&lane, peer, adapter = current.adapter, release = releaseIn(current.ctx),
+                             opened = std::move(opened), refused = std::move(refused),
                              display_name = std::move(display_name)](Result<LoggedIn> who) {
         try {
             auto proxy = addSession<typename Kind::SessionPrx>(
                 lane, peer, Kind::make(lane, peer, valueOrThrow(std::move(who)), display_name), adapter);
             if (lane.lane == Lane::Signal) prepareSignalLane(*peer->get());
+            lane.noteRelease(Kind::kPeer, release);
             opened(proxy);
         } catch (...) {
             refused(std::current_exception());

@@ -2,12 +2,14 @@
 #pragma once
 #include <spdlog/spdlog.h>
 
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <string>
 #include <utility>
 
 #include "common/refusal.hpp"
+#include "transport/ice/contract.hpp"
 #include "transport/outbox/forward.hpp"
 #include "transport/outbox/proxy_sender.hpp"
 #include "transport/sessions/routed_connection.hpp"
@@ -34,7 +36,16 @@ class PeerSender : public ProxySender<Prx> {
         this->send(Traffic::Control, head, {},
                    forward<Prx>(&Prx::newRefusalMsgAsync, static_cast<int>(refusal.code), refusal.message));
     }
+    /// The first one also tells our release. It cannot be left out, because none waits before it.
     void beat(std::int64_t sequence) const {
+        if (!told_.load(std::memory_order_relaxed) && !told_.exchange(true)) {
+            const auto first = [sequence](Prx& prx, Answered answered, Failed failed, Sent sent) {
+                prx.newHeartbeatAsync(static_cast<double>(sequence), std::move(answered), std::move(failed),
+                                      std::move(sent), releaseContext());
+            };
+            this->send(Traffic::Heartbeat, 0, first);
+            return;
+        }
         this->send(Traffic::Heartbeat, 0,
                    forward<Prx>(&Prx::newHeartbeatAsync, static_cast<double>(sequence)));
     }
@@ -51,6 +62,7 @@ class PeerSender : public ProxySender<Prx> {
   private:
     const std::shared_ptr<PeerConnection> peer_;
     const std::string server_;
+    mutable std::atomic<bool> told_{false};  // our release
 };
 
 }  // namespace axon::transport

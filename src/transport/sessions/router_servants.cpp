@@ -100,6 +100,7 @@ std::shared_ptr<Glacier2::SessionPrx> createSession(
                                  name == current.ctx.end() ? std::string() : name->second, peer);
         // Of all objects behind the router the peer may call this one.
         control->identities()->add({session->ice_getIdentity()});
+        if (!signal) door.note_release(releaseIn(current.ctx));
         return session;
     } catch (const std::exception&) {
         peer->disconnect({false, "its session could not be set up"}, false);

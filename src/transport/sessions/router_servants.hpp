@@ -43,6 +43,8 @@ struct RouterDoor {
     std::string server;  ///< its name; a token begins with that of the server that gave it
     /// The session managers of the other servers of this kind, by name.
     std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighbours;
+    /// A session of the data lane was made for a peer of this release.
+    std::function<void(const std::string&)> note_release;
 };
 
 class PermissionsVerifierServant final : public Glacier2::PermissionsVerifier {
@@ -97,7 +99,7 @@ RouterDoor makeDoor(SessionLane<typename Kind::Core, typename Kind::Session>& da
                     SessionLane<typename Kind::Core, typename Kind::Session>& signal,
                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter, RouterConnections& routers) {
     auto* const logins = data.logins;
-    RouterDoor door{routers, {}, {}, {}, data.server, {}};
+    RouterDoor door{routers, {}, {}, {}, data.server, {}, {}};
     door.verify = [logins](LoginRequest request, Logins::Answer answer) {
         if (logins == nullptr) return answer(LoggedIn{});
         (logins->*Kind::kVerify)(std::move(request), std::move(answer));
@@ -114,6 +116,7 @@ RouterDoor makeDoor(SessionLane<typename Kind::Core, typename Kind::Session>& da
         return addSession<typename Kind::SessionPrx>(its, peer, Kind::make(its, peer, who, display_name),
                                                      lane == Lane::Signal ? signal_adapter : data_adapter);
     };
+    door.note_release = [&data](const std::string& release) { data.noteRelease(Kind::kPeer, release); };
     return door;
 }
 

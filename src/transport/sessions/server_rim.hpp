@@ -31,6 +31,7 @@ namespace axon::transport {
 ///     make(lane, peer, who, display name)   a Session
 ///     kVerify, kVouched      of Logins: how this kind of peer logs in
 ///     kServer, kGate, kTimer the names of the adapters ("EntityServer"), the gate, the timer's thread
+///     kPeer                  who opens sessions: "an Entity Manager"
 ///
 /// Life: construct, activate(); before it is destroyed, destroy the communicators, then end(). Threads:
 /// wake() any, the rest one. Failure: std::runtime_error where it cannot listen (misconfiguration).
@@ -52,6 +53,7 @@ class ServerRim {
           limits_(*settings.limits) {
         const auto gate = Ice::stringToIdentity(Kind::kGate);
         data_lane_.logins = settings.logins;
+        data_lane_.releases = &releases_;
         data_lane_.server = signal_lane_.server = settings.name;
         data_lane_.signal_endpoints = publishedEndpoints(*signal_adapter_);
         data_adapter_->add(std::make_shared<typename Kind::Gate>(data_lane_), gate);
@@ -109,6 +111,7 @@ class ServerRim {
   private:
     static inline const std::string kName = Kind::kServer;
 
+    ReleaseNotes releases_{"this server", ourContract()};
     ItsLane data_lane_;
     ItsLane signal_lane_;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter_;

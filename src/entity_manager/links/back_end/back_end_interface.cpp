@@ -29,6 +29,7 @@
 #include "common/frame.hpp"
 #include "common/liveness.hpp"
 #include "common/message_frame.hpp"
+#include "common/release.hpp"
 #include "common/snapshot.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 
@@ -225,6 +226,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         asio::steady_timer deadline;
         FrameReader reader;
         std::string nonce, hello;
+        std::string release;  // of the application; bounded by its frame
         bool closed = false;  // by the peer, which is then no stranger that keeps silent
         std::array<char, kHelloMax> bytes;
         std::function<void(const std::shared_ptr<Handshake>&, const proto::Welcome*)>
@@ -314,6 +316,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         hello.set_manager(settings_.manager);
         hello.set_watchdog_busy_ms(static_cast<std::uint32_t>(settings_.watchdog_busy.count()));
         hello.set_watchdog_idle_ms(static_cast<std::uint32_t>(settings_.watchdog_idle.count()));
+        hello.set_release(kRelease);
         appendFrameOf(handshake->hello, message);
         handshakes_.insert(handshake);
         handshake->nonce = nonce;
@@ -401,6 +404,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             refused(*stranger);
         } else {
             linking_ = true;
+            signal->release = welcome->release();
             abandonHandshakes();
             const bool shaking = shake(signal->port, proto::LANE_DATA, nonce,
                                        [this, signal](const auto& data, const auto* second) {
@@ -446,6 +450,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         signal_.store(duplicate);
         onBeatTimer();
         const auto peer = peer_;
+        if (const auto note = releases_.onPeer("a robot application", signal->release))
+            events_.onLinkRelease(*note);
         events_.onLinkUp();
         // What came in one piece with the answers. Then the reads, which put bytes into the same readers.
         if (!deliver(peer, peer->signal_reader, true) || !deliver(peer, peer->data_reader, false)) return;
@@ -684,6 +690,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     Refusal last_refusal_;
     std::shared_ptr<Peer> peer_;
     ApplicationSearch search_;
+    ReleaseNotes releases_{"this Entity Manager", "protocol " + std::to_string(kProtocol)};
     Liveness liveness_;   // of the application
     Liveness::Gap told_;  // by the application: what it heard of us
     TimePoint warn_again_{};

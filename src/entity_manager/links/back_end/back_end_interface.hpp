@@ -45,6 +45,9 @@ class BackEndEvents {
     virtual void onLinkSought(const SearchReport&) {}
     /// For the operator: the application's beats come late, once a minute at most.
     virtual void onLinkSlow(const std::string&) {}
+    /// For the operator: the application that has been linked has another release than this program. Once for
+    /// each release.
+    virtual void onLinkRelease(const std::string&) {}
 };
 
 /// The Entity Manager's end of the link to the robot application (thesis 3.3.1), over TCP.

@@ -56,8 +56,9 @@ transport::OutboxLimits outboxLimits(Lane lane) {
 /// Carries what the server pushes to the events, and nothing else. One per lane.
 class EntityCallbackServant final : public EntityCallback {
   public:
-    EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events)
-        : lane_(lane), events_(std::move(events)) {}
+    EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events,
+                          std::shared_ptr<ReleaseNotes> releases)
+        : lane_(lane), events_(std::move(events)), releases_(std::move(releases)) {}
 
     void newClientMsg(wire::Header head, ByteRange msg, const Ice::Current&) override {
         if (const auto events = events_.lock())
@@ -83,8 +84,13 @@ class EntityCallbackServant final : public EntityCallback {
         if (const auto events = events_.lock())
             events->clientUpdate(transport::fromIce(std::move(head)), transport::fromIce(change));
     }
-    void newHeartbeat(double, const Ice::Current&) override {
-        if (const auto events = events_.lock()) events->serverHeartbeat();
+    void newHeartbeat(double, const Ice::Current& current) override {
+        const auto events = events_.lock();
+        if (!events) return;
+        events->serverHeartbeat();
+        if (current.ctx.empty()) return;
+        if (const auto note = releases_->onPeer("an entity server", transport::releaseIn(current.ctx)))
+            spdlog::info("{}", *note);
     }
     void newRefusalMsg(wire::Header head, int code, std::string reason, const Ice::Current&) override {
         if (const auto events = events_.lock())
@@ -95,6 +101,7 @@ class EntityCallbackServant final : public EntityCallback {
   private:
     const Lane lane_;
     const std::weak_ptr<ServerEvents> events_;
+    const std::shared_ptr<ReleaseNotes> releases_;
 };
 
 }  // namespace
@@ -112,8 +119,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
           events_(std::move(events)),
           retry_(strand_),
           beat_(strand_, clock_),
-          data_servant_(std::make_shared<EntityCallbackServant>(Lane::Data, events_)),
-          signal_servant_(std::make_shared<EntityCallbackServant>(Lane::Signal, events_)) {}
+          data_servant_(std::make_shared<EntityCallbackServant>(Lane::Data, events_, ice_->releases())),
+          signal_servant_(std::make_shared<EntityCallbackServant>(Lane::Signal, events_, ice_->releases())) {}
 
     void want(bool wanted) {
         if (wanted == wanted_) return;

@@ -3,6 +3,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <spdlog/spdlog.h>
 
 #include <axon/entitycomm.h>
 #include <axon/messages.pb.h>
@@ -16,9 +17,11 @@
 #include <vector>
 
 #include "entity_manager/links/server/server_communicators.hpp"
+#include "support/log_lines.hpp"
 #include "support/loopback.hpp"
 #include "transport/ice/adapter.hpp"
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
 
 namespace axon::entity_manager {
@@ -61,6 +64,15 @@ class ServerLog {
         const std::lock_guard lock(mutex_);
         return read_;
     }
+    void attached(std::shared_ptr<slice::EntityCallbackPrx> callback) {
+        const std::lock_guard lock(mutex_);
+        callback_ = std::move(callback);
+    }
+    /// Of the signal lane.
+    std::shared_ptr<slice::EntityCallbackPrx> callback() const {
+        const std::lock_guard lock(mutex_);
+        return callback_;
+    }
     bool has(Read read) const {
         const auto read_until_now = all();
         return std::find(read_until_now.begin(), read_until_now.end(), read) != read_until_now.end();
@@ -70,7 +82,8 @@ class ServerLog {
     mutable std::mutex mutex_;
     std::condition_variable changed_;
     std::vector<Read> read_;  // guarded by mutex_
-    bool held_ = false;       // guarded by mutex_
+    std::shared_ptr<slice::EntityCallbackPrx> callback_;
+    bool held_ = false;  // guarded by mutex_
 };
 
 class Session final : public slice::EntitySession {
@@ -80,8 +93,11 @@ class Session final : public slice::EntitySession {
     slice::SessionFacts setCallback(std::shared_ptr<slice::EntityCallbackPrx>, const Ice::Current&) override {
         return {"token", signal_endpoint_};
     }
-    void attachSignalLane(std::string, std::shared_ptr<slice::EntityCallbackPrx>,
-                          const Ice::Current&) override {}
+    void attachSignalLane(std::string, std::shared_ptr<slice::EntityCallbackPrx> callback,
+                          const Ice::Current& current) override {
+        log_.attached(Ice::uncheckedCast<slice::EntityCallbackPrx>(
+            current.con->createProxy(callback->ice_getIdentity())));
+    }
     void sendBasicPrfl(wire::Registration registration, ByteRange, ByteRange, const Ice::Current&) override {
         log_.add(lane_, {Read::Kind::Registration, registration.heartbeatIdleMs});
     }
@@ -311,6 +327,24 @@ TEST_F(EntityCommunicatorTest, WhatWasSentBeforeTheOrderlyEndArrivesBeforeIt) {
     log.hold(false);
     ASSERT_TRUE(waitUntil([this] { return log.has({Read::Kind::Leave}); }));
     EXPECT_EQ(log.numbers(Read::Kind::Control), upTo(kControl));
+}
+
+TEST_F(EntityCommunicatorTest, AServerOfAnotherReleaseIsLoggedOnce) {
+    const auto lines = std::make_shared<test::LogLines>();
+    const auto before = spdlog::default_logger();
+    spdlog::set_default_logger(std::make_shared<spdlog::logger>("", lines));
+    const auto server = log.callback();
+    ASSERT_TRUE(server);
+    server->newHeartbeat(1);
+    server->newHeartbeat(2, transport::releaseContext());
+    EXPECT_EQ(lines->all(), "");
+    for (const auto* release : {"7.1", "7.1", "7\n1"})
+        server->newHeartbeat(3, {{transport::kContextRelease, release}});
+    spdlog::set_default_logger(before);
+    const auto rest = std::string(", this Entity Manager has ") + kRelease +
+                      "; they work together, because both have " + transport::ourContract() + "\n";
+    EXPECT_EQ(lines->all(), "connected with an entity server of release 7.1" + rest +
+                                "connected with an entity server of an unknown release ('7\\x0a1')" + rest);
 }
 
 }  // namespace

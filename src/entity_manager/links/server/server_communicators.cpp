@@ -4,6 +4,7 @@
 #include <spdlog/spdlog.h>
 
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/contract.hpp"
 
 namespace axon::entity_manager {
 
@@ -18,6 +19,7 @@ ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
                                            .client_threads = signal_threads,
                                            .properties = properties})),
       properties_(properties),
+      releases_(std::make_shared<ReleaseNotes>("this Entity Manager", transport::ourContract())),
       data_adapter_(data_->createObjectAdapter("")),
       signal_adapter_(signal_->createObjectAdapter("")) {
     data_adapter_->activate();

@@ -9,6 +9,7 @@
 #include <string>
 
 #include "common/clock.hpp"
+#include "common/release.hpp"
 #include "transport/ice/connection_limits.hpp"
 
 namespace axon::entity_manager {
@@ -38,6 +39,8 @@ class ServerCommunicators {
     /// threads have no priority, as strangers make them calculate. Made by the first call. Throws
     /// std::runtime_error.
     const std::shared_ptr<Ice::Communicator>& direct(bool tls);
+    /// What is said of servers of other releases, once for all Entity Managers.
+    const std::shared_ptr<ReleaseNotes>& releases() const { return releases_; }
     /// Of the ports of direct paths; has a thread from the first call on. Any thread.
     transport::ConnectionLimits& limits();
 
@@ -45,6 +48,7 @@ class ServerCommunicators {
     Ice::CommunicatorHolder data_;
     Ice::CommunicatorHolder signal_;
     const std::map<std::string, std::string> properties_;
+    const std::shared_ptr<ReleaseNotes> releases_;
     std::mutex mutex_;
     Ice::CommunicatorHolder direct_tls_;                // made under mutex_; none before
     std::shared_ptr<Ice::ObjectAdapter> data_adapter_;  // no endpoints: pushes come over our own connections
