@@ -64,7 +64,8 @@ if(AXON_ICE)
   endforeach()
 
   # Tests of clients: the servers and Entity Managers as a library.
-  set(testing_parts axon_back_end axon_entity_manager axon_entity_manager_core axon_entity_server axon_entity_server_core
+  set(testing_parts axon_back_end axon_console axon_console_core axon_entity_manager axon_entity_manager_core axon_entity_server
+    axon_entity_server_core
     axon_front_end_server axon_front_end_server_core axon_global_services axon_server axon_users)
   add_dependencies(installed_programs axon_testing_client)
   set_target_properties(axon_testing_client PROPERTIES EXPORT_NAME testing_client)
@@ -84,6 +85,8 @@ if(AXON_ICE)
   install(FILES "${config}/client.cfg" DESTINATION "${config_to}" COMPONENT axon)
   install(FILES "${config}/server.cfg" "${config}/clientrouter.cfg" DESTINATION "${config_to}" COMPONENT axon-server)
   install(FILES "${PROJECT_SOURCE_DIR}/api/schema/samples/valid/figure_a_1.xml" DESTINATION "${config_to}/globalservices" COMPONENT axon-server)
+  # The web console, if it has been built: npm run build in web/console.
+  install(DIRECTORY "${PROJECT_SOURCE_DIR}/web/console/dist/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/console" COMPONENT axon-server OPTIONAL)
   install(FILES "${config}/entitymanager.cfg" DESTINATION "${config_to}" COMPONENT axon-entity-manager)
   add_dependencies(installed_programs axon-manual) # src/cli installs manual pages and completion
 

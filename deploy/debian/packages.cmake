@@ -91,5 +91,5 @@ ${about}
 This package has the header files and the static library of the client, for
 find_package(Axon COMPONENTS Client) of CMake, and a library to test programs
 without robots."
-  DEPENDS "libaxon-entity-interfacer-dev ${same}" libgnutls28-dev libprotobuf-dev libsodium-dev libspdlog-dev libxml2-dev libzeroc-ice-dev pkg-config
+  DEPENDS "libaxon-entity-interfacer-dev ${same}" libgnutls28-dev libmicrohttpd-dev libprotobuf-dev libsodium-dev libspdlog-dev libxml2-dev libzeroc-ice-dev pkg-config
   SUGGESTS cmake)
