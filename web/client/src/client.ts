@@ -134,7 +134,7 @@ abstract class Follower<Report extends TaskReport | RunReport> {
                 if (this.final(report)) resolve();
             });
         });
-        await (Number.isFinite(timeMs) ? Promise.race([ended, this.session.delay(Math.max(timeMs, 0))]) : ended);
+        await this.session.within(ended, timeMs);
         end?.();
         return this.shared.report;
     }

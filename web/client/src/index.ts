@@ -8,6 +8,7 @@ export type { Random } from "./ids.js";
 export { Refusal, type RefusalCode, refusalCodes } from "./refusal.js";
 export type { Credentials } from "./session.js";
 export type { Connection, ConnectionEvents, Facts, Header, Lane, LeaseNumber, Login, Registration, Status, StopCause, Transport } from "./transport.js";
+export { ticketFrom } from "./ticket.js";
 export * from "./types.js";
 export type { UploadOptions } from "./upload.js";
 export { isFinalRun, isFinalTask } from "./wire/content.js";

@@ -331,7 +331,7 @@ export class Session implements Observer {
                 });
             }),
         );
-        await Promise.race([Promise.all(released), this.delay(RELEASE_MS)]);
+        await this.within(Promise.all(released), RELEASE_MS);
         const connection = this.connection;
         this.turn(() => {
             this.connection = undefined;
@@ -347,15 +347,23 @@ export class Session implements Observer {
     }
     /** On the clock of this client. */
     delay(ms: number): Promise<void> {
-        return new Promise((resolve) => {
-            const until = this.options.clock.now() + ms;
-            const alarm = this.options.clock.alarm(() => {
-                if (this.options.clock.now() < until) return alarm.set(until);
-                alarm.end();
-                resolve();
-            });
-            alarm.set(until);
+        return this.within(new Promise(() => undefined), ms);
+    }
+    /** Waits for it, and no longer than that. */
+    async within(promise: Promise<unknown>, ms: number): Promise<void> {
+        if (ms === Infinity) return void (await promise);
+        let alarm: Alarm | undefined;
+        const late = new Promise<void>((resolve) => {
+            const until = this.options.clock.now() + Math.max(ms, 0);
+            const own = this.options.clock.alarm(() => (this.options.clock.now() < until ? own.set(until) : resolve()));
+            own.set(until);
+            alarm = own;
         });
+        try {
+            await Promise.race([promise, late]);
+        } finally {
+            alarm?.end();
+        }
     }
     /** The first value that `look` gives, now or after a change; undefined when the time is up. */
     async until<Value>(look: () => Value | undefined, ms: number): Promise<Value | undefined> {
@@ -369,7 +377,7 @@ export class Session implements Observer {
             };
             this.changes.add(changed);
         });
-        await Promise.race([first, this.delay(ms)]);
+        await this.within(first, ms);
         if (changed !== undefined) this.changes.delete(changed);
         return found ?? look();
     }

@@ -130,8 +130,8 @@ class LaneEnd {
     ) {}
     end(): void {
         this.connection.setCloseCallback(() => undefined);
-        void this.connection.close(Ice.ConnectionClose.Forcefully);
-        void this.communicator.destroy();
+        quietly(this.connection.close(Ice.ConnectionClose.Forcefully));
+        quietly(this.communicator.destroy());
     }
 }
 
@@ -202,7 +202,7 @@ async function openLane({ lane, target, login, token, timeoutMs, events, closed 
         const twoway = FrontEndComm.ClientSessionPrx.uncheckedCast(session.ice_invocationTimeout(-1));
         return new LaneEnd(communicator, connection, once, callback, oneway, twoway);
     } catch (error) {
-        void communicator.destroy();
+        quietly(communicator.destroy());
         throw translate(error, endpointAddress(target.endpoint));
     }
 }
@@ -323,13 +323,14 @@ class IceConnection implements Connection {
     async leave(): Promise<void> {
         if (this.over) return;
         this.over = true;
-        const closed = new Promise<void>((resolve) => this.data.connection.setCloseCallback(() => resolve()));
-        try {
-            await Promise.race([this.data.oneway.leave(), delay(LEAVE_MS)]);
-            await Promise.race([closed, delay(LEAVE_MS)]);
-        } catch {
-            // it has ended already
-        }
+        await new Promise<void>((resolve) => {
+            const late = setTimeout(resolve, LEAVE_MS);
+            this.data.connection.setCloseCallback(() => {
+                clearTimeout(late);
+                resolve();
+            });
+            quietly(this.data.oneway.leave()); // the server then closes the connection
+        });
         this.end();
     }
     drop(): void {
@@ -344,7 +345,10 @@ class IceConnection implements Connection {
     }
 }
 const causeOf = (cause: StopCause): Common.CommUtil.StopCause => (cause === "drill" ? CommUtil.StopCause.Drill : CommUtil.StopCause.Requested);
-const delay = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
+/** Of what may have ended already. */
+function quietly(what: PromiseLike<unknown>): void {
+    what.then(undefined, () => undefined);
+}
 
 /** Opens sessions over Ice: ws and wss in browsers, and tcp, too, in Node. */
 export class IceTransport implements Transport {

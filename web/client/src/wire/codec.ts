@@ -17,11 +17,14 @@ export class Malformed extends Error {}
 /** Messages within messages: twice what the deepest of api/proto has. */
 const DEPTH_MAX = 24;
 /** Submessages, texts and numbers that are not packed, in one message: a few bytes on the wire may become a large object. */
-const ELEMENTS_MAX = 262_144;
+const ELEMENTS_MAX = 65_536;
 
 type Plain = Record<string, unknown>;
 interface Known {
     readonly rows: readonly Row[];
+    /** A message without fields, but for its lists. */
+    readonly empty: Plain;
+    readonly lists: readonly string[];
     readonly byNumber: ReadonlyMap<number, Row>;
     readonly alternatives: readonly string[];
 }
@@ -30,6 +33,8 @@ const known = new Map<keyof Messages, Known>();
 for (const [name, rows] of Object.entries(schema) as [keyof Messages, readonly Row[]][]) {
     known.set(name, {
         rows,
+        empty: Object.fromEntries(rows.map(([, key, kind, often]) => [key, often === "" ? defaultOf(kind) : undefined])),
+        lists: rows.filter((row) => row[3] === "*").map((row) => row[1]),
         byNumber: new Map(rows.map((row) => [row[0], row])),
         alternatives: rows.filter((row) => row[3] === "|").map((row) => row[1]),
     });
@@ -166,8 +171,9 @@ function wireOf(kind: string): number {
 }
 
 function empty(name: keyof Messages): Plain {
-    const message: Plain = {};
-    for (const [, key, kind, often] of knownOf(name).rows) message[key] = often === "*" ? [] : often === "" ? defaultOf(kind) : undefined;
+    const { empty: fields, lists } = knownOf(name);
+    const message: Plain = { ...fields };
+    for (const key of lists) message[key] = [];
     return message;
 }
 

@@ -2,7 +2,7 @@
 // The library against real processes: axon-server, axon-entity-manager, a robot application that counts.
 import assert from "node:assert/strict";
 import { execFile } from "node:child_process";
-import { after, before, test } from "node:test";
+import { after, afterEach, before, test } from "node:test";
 import { promisify } from "node:util";
 import { type CheckOut, type Client, connect, type Options, Refusal, type TaskReport } from "../../dist/index.js";
 import { eventually, Laboratory } from "./laboratory.js";
@@ -35,10 +35,10 @@ before(async () => {
     await lab.startServer();
     counter = lab.startCounter();
 });
-after(async () => {
-    await Promise.all(clients.map((client) => client.close()));
-    await lab.end();
+afterEach(async () => {
+    await Promise.all(clients.splice(0).map((client) => client.close()));
 });
+after(() => lab.end());
 
 test("A task runs, reports its progress and its results, while its stream is watched by another", async () => {
     const [client, watcher] = await Promise.all([join(), join()]);
@@ -98,7 +98,8 @@ test("Pause, resume and cancel, a queue, a reset and a clear", async () => {
     await eventually("both are there", () => cleared.every((one) => one.report().accepted));
     const clear = await robot.clear();
     assert.deepEqual([clear.tasksEnded, clear.tasksRemoved], [1, 1]);
-    for (const one of cleared) assert.equal((await one.wait(5000)).state, "STOPPED");
+    const ends = await Promise.all(cleared.map((one) => one.wait(5000)));
+    assert.deepEqual(ends.map(({ state }) => state), ["STOPPED", "CANCELLED"]);
     assert.equal(client.find("Counter").latched, false);
     await robot.release();
 });

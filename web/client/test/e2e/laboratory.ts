@@ -35,9 +35,20 @@ export class Program {
         for (const stream of [this.child.stdout, this.child.stderr]) stream?.on("data", (bytes: Buffer) => (this.output += bytes.toString()));
         this.exited = once(this.child, "exit");
         this.exited.catch(() => undefined);
+        const abandon = (): void => void this.child.kill("SIGKILL"); // if a test ends without a word
+        process.once("exit", abandon);
+        this.child.once("exit", () => process.off("exit", abandon));
     }
     async line(begin: string, ms = 15_000): Promise<string> {
-        return eventually(`${this.name} says '${begin}' (it said: ${this.output})`, () => this.output.split("\n").find((line) => line.startsWith(begin)), ms);
+        return eventually(
+            `${this.name} says '${begin}'`,
+            () => {
+                const line = this.output.split("\n").find((one) => one.startsWith(begin));
+                if (line === undefined && this.child.exitCode !== null) throw new Error(`${this.name} ended with ${this.child.exitCode}: ${this.output}`);
+                return line;
+            },
+            ms,
+        );
     }
     async end(signal: NodeJS.Signals = "SIGTERM"): Promise<void> {
         if (this.child.exitCode !== null || this.child.signalCode !== null) return;

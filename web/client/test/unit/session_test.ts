@@ -110,8 +110,8 @@ test("A heartbeat goes at a fifth of the watchdog, and at once when a task is se
     await clock.advance(10_000);
     assert.equal(server.beats(), 5); // every 2 s
     const task = robot.run("Drive", [{ name: "Distance", values: [1] }]);
-    await clock.advance(0);
     const { body } = server.message("task");
+    await clock.advance(0);
     assert.equal(server.beats(), 1);
     event(server, body.taskId, "RUNNING");
     server.status(ROBOT, { state: "BUSY", holder: ME, held: { epoch: 1, number: 1 } });

@@ -173,7 +173,7 @@ export async function world(options: Options = {}, prepare: (server: FakeServer)
         ...options,
     });
     server.join(ROBOT, "PeopleBot");
-    await settle();
+    await clock.advance(0); // the first heartbeat
     server.take();
     return { clock, server, client, errors };
 }

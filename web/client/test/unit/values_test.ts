@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { acceptValue, describeValues, type Parameter, parseValue, Refusal, refusalCodes, type Value } from "../../dist/index.js";
+import { acceptValue, describeValues, type Parameter, parseValue, Refusal, refusalCodes, ticketFrom, type Value } from "../../dist/index.js";
 import { parseEndpoint, parseTarget, endpointText } from "../../dist/ice/endpoint.js";
 import { NameIndex } from "../../dist/core/name_index.js";
 import { seal } from "../../dist/core/sub_lease.js";
@@ -116,4 +116,21 @@ test("Every refusal has a meaning, and a code that is not known is INTERNAL", ()
     assert.equal(held.number, 2);
     assert.match(held.remedy, /^ask ana@lab for it/);
     assert.deepEqual([refusalOf(999, "new")?.code, refusalOf(999, "new")?.number, refusalOf(0, "")], ["INTERNAL", 999, undefined]);
+});
+
+test("A ticket is what the server says, and its refusals are told", async () => {
+    const real = globalThis.fetch;
+    const answers = (status: number, body: string) => void (globalThis.fetch = async () => new Response(body, { status }));
+    try {
+        answers(200, '{"user": "ann", "password": "t1", "endpoint": "ws -h lab -p 10418 -r /axon", "more": 1}');
+        assert.deepEqual(await ticketFrom("http://lab/ticket")(), { user: "ann", password: "t1", server: "ws -h lab -p 10418 -r /axon" });
+        answers(200, '{"user": {"toString": 1}, "endpoint": ""}');
+        assert.deepEqual(await ticketFrom("http://lab/ticket")(), { user: "", password: "" });
+        for (const [status, body, code] of [[401, '{"code": "PERMISSION_DENIED", "message": "log in"}', "PERMISSION_DENIED"], [500, "[]", "NOT_CONNECTED"], [200, "<html>", "NOT_CONNECTED"], [400, '{"code": "NONSENSE"}', "NOT_CONNECTED"]] as const) {
+            answers(status, body);
+            await assert.rejects(ticketFrom("http://lab/ticket")(), (error: unknown) => error instanceof Refusal && error.code === code, body);
+        }
+    } finally {
+        globalThis.fetch = real;
+    }
 });
