@@ -80,8 +80,9 @@ export class Laboratory {
         if (options.globalServices === undefined) mkdirSync(services);
         this.serverOptions.push("--global-services", services, ...(options.more ?? []));
     }
+    /** Of Axon's own folder, unless it is an absolute path. */
     start(name: string, program: string, ...words: string[]): Program {
-        const one = new Program(name, join(BIN, program), words, this.env, this.folder);
+        const one = new Program(name, resolve(BIN, program), words, this.env, this.folder);
         this.programs.push(one);
         return one;
     }
