@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-import { type Id, idOf } from "../ids.js";
+import { idOf } from "../ids.js";
 import { Refusal } from "../refusal.js";
 import type { Connection, Header, Registration, Status } from "../transport.js";
 import { sameLease } from "../transport.js";
@@ -216,8 +216,5 @@ export class SessionCore implements Parts {
     /** The server has been silent for too long. */
     get serverSilent(): boolean {
         return this.context.now() >= this.server.deadline;
-    }
-    hasTask(id: Id): boolean {
-        return this.tasks.has(id);
     }
 }
