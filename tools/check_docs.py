@@ -18,15 +18,15 @@ from itertools import product
 from pathlib import Path
 from urllib.parse import unquote
 
-SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__"}
+SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__", "dist", "dist-test", "gen"}
 # A path begins with one of these folders, or is one of these files.
-FOLDERS = {"api", "bench", "cmake", "deploy", "docs", "examples", "faults", "lab", "robots", "simulation", "src", "tests", "tools", "LICENSES", ".ci"}
+FOLDERS = {"api", "bench", "cmake", "deploy", "docs", "examples", "faults", "lab", "robots", "simulation", "src", "tests", "tools", "web", "LICENSES", ".ci"}
 FILES = {"README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "CMakeLists.txt", "CMakePresets.json",
          ".clang-format", ".clang-tidy", "demo", "check", "./demo", "./check"}
 LINK = re.compile(r"!?\[[^\]]*\]\(\s*<?([^)>\s]+)>?(?:\s+\"[^\"]*\")?\s*\)")
 CODE = re.compile(r"`([^`\n]+)`")
 
-SOURCES = {".cpp", ".hpp", ".proto", ".ice", ".py", ".mjs", ".xsd", ".cmake", ".sh"}
+SOURCES = {".cpp", ".hpp", ".proto", ".ice", ".py", ".mjs", ".ts", ".xsd", ".cmake", ".sh"}
 UNREAD = {"tools/checks_test.py",  # points to what is missing, on purpose
           "tools/docs_site/contracts.py", "tools/docs_site/stage.py"}  # name pages of the site
 # A comment that goes on in the next line is read as one text.

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// What is between the session logic and the wire. The session logic knows nothing of Ice: it is written against these
+// interfaces, and the tests use a transport of their own.
+import type { Refusal } from "./refusal.js";
+import type { EntityState, Presence, Sender } from "./types.js";
+
+export interface LeaseNumber {
+    readonly epoch: number;
+    readonly number: number;
+}
+export const NO_LEASE: LeaseNumber = { epoch: 0, number: 0 };
+export const sameLease = (a: LeaseNumber, b: LeaseNumber): boolean => a.epoch === b.epoch && a.number === b.number;
+/** Whether `a` is at least as new. */
+export const notOlder = (a: LeaseNumber, b: LeaseNumber): boolean => a.epoch > b.epoch || (a.epoch === b.epoch && a.number >= b.number);
+
+/** The header of a routed message (docs/reference/sessions.md, "The header"); the server fills in the sender. */
+export interface Header {
+    readonly entity: string;
+    readonly msgType: string;
+    readonly held: LeaseNumber;
+    readonly stopGeneration: number;
+    readonly seq: number;
+    readonly sentAtUs: number;
+}
+
+export interface Registration {
+    readonly entity: string;
+    readonly name: string;
+    readonly category: string;
+    readonly type: string;
+}
+
+export interface Status {
+    readonly entity: string;
+    readonly state: EntityState;
+    readonly latched: boolean;
+    readonly stopGeneration: number;
+    readonly holder: Sender;
+    readonly held: LeaseNumber;
+    readonly reason: string;
+    readonly orphaned: boolean;
+    readonly waiting: number;
+    readonly stopLatencyUs: number;
+}
+
+export type Lane = "data" | "signal";
+export type StopCause = "requested" | "drill";
+
+export interface Login {
+    readonly server: string;
+    /** Where the signal lane is; undefined = where the server says. */
+    readonly signal: string | undefined;
+    readonly user: string;
+    readonly password: string;
+    readonly displayName: string;
+    readonly timeoutMs: number;
+}
+
+/** What the server pushes. Calls come in the order of their lane, one at a time, and may begin before Transport.open has answered. */
+export interface ConnectionEvents {
+    profile(presence: Presence, registration: Registration, profile: Uint8Array): void;
+    status(status: Status): void;
+    entityMessage(lane: Lane, head: Header, bytes: Uint8Array): void;
+    refused(head: Header, refusal: Refusal): void;
+    stopAccepted(head: Header, entities: number): void;
+    serverText(code: number, text: string): void;
+    heartbeat(): void;
+    /** At most once; nothing comes after it. */
+    closed(reason: string): void;
+}
+
+export interface Facts {
+    readonly me: Sender;
+    /** How many entities the server will tell of at once. */
+    readonly entities: number;
+    readonly watchdogBusyMs: number;
+    readonly watchdogIdleMs: number;
+    readonly signalLane: "own" | "shared";
+}
+
+/** A session with the server, with one or two lanes. Nothing here waits or throws: what cannot be sent ends the connection. */
+export interface Connection {
+    readonly facts: Facts;
+    /** Bytes and messages on the data lane that are not written yet. */
+    backlog(): { readonly messages: number; readonly bytes: number };
+    toEntity(head: Header, bytes: Uint8Array): void;
+    /** May be dropped, oldest first, if the receiver is slow. */
+    toEntityDroppable(head: Header, bytes: Uint8Array): void;
+    request(head: Header, bytes: Uint8Array): void;
+    stop(lane: Lane, head: Header, cause: StopCause): void;
+    stopSeveral(lane: Lane, head: Header, entities: readonly string[], cause: StopCause): void;
+    reset(head: Header): void;
+    clear(head: Header): void;
+    keepAlive(count: number): void;
+    /** The orderly end. */
+    leave(): Promise<void>;
+    /** Without a word; closed() is not called. */
+    drop(): void;
+}
+
+export interface Transport {
+    /** Rejects with a Refusal. */
+    open(login: Login, events: ConnectionEvents): Promise<Connection>;
+}

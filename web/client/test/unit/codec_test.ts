@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { join, resolve } from "node:path";
+import { test } from "node:test";
+import { decode, encode, Malformed } from "../../dist/wire/codec.js";
+
+const ROOT = resolve(process.env["AXON_ROOT"] ?? "../..");
+const bytes = (...all: number[]): Uint8Array => Uint8Array.from(all);
+
+test("What is written is read as it was, at the edges of every type", () => {
+    const values = [
+        { int: -(2n ** 63n) },
+        { int: 2n ** 63n - 1n },
+        { int: 0n },
+        { dbl: -0.1 },
+        { dbl: 0 },
+        { str: "Größe 🤖" },
+        { str: "" },
+        { bool: false },
+    ];
+    const task = { taskId: bytes(0, 1, 255), service: "Drive", params: [{ name: "a", values, units: "mm" }], notAfterS: 1.5 };
+    const read = decode("ToEntity", encode("ToEntity", { task })).task;
+    assert.deepEqual(read?.params[0]?.values, values.map((value) => ({ int: undefined, dbl: undefined, str: undefined, bool: undefined, ...value })));
+    assert.deepEqual([read.service, read.notAfterS, [...read.taskId]], ["Drive", 1.5, [0, 1, 255]]);
+    const scan = { startAngle: -1, step: 0.5, maxRange: 8, ranges: [1, 2.5], angles: [] };
+    const sample = decode("StreamSample", encode("StreamSample", { stream: "s", sequence: 2n ** 64n - 1n, takenAtUs: -5n, scan }));
+    assert.deepEqual([sample.sequence, sample.takenAtUs, sample.scan], [2n ** 64n - 1n, -5n, scan]);
+    const step = decode("StepStatus", encode("StepStatus", { step: -1, preced: -(2 ** 31), tries: 2 ** 32 - 1 }));
+    assert.deepEqual([step.step, step.preced, step.tries], [-1, -(2 ** 31), 2 ** 32 - 1]);
+});
+
+test("protoc reads what this codec writes, and the other way round", () => {
+    const protoc = (mode: string, input: Uint8Array | string): Buffer =>
+        execFileSync("protoc", [`-I${join(ROOT, "api/proto")}`, `--${mode}=axon.proto.ToEntity`, "axon/messages.proto"], { input });
+    const text = protoc("decode", encode("ToEntity", { checkOut: { requestId: bytes(65), phase: 1, reserveS: 2.5, wait: true, resume: { epoch: 4_000_000_000, number: 7 } } })).toString();
+    assert.match(text, /check_out \{\s+request_id: "A"\s+phase: TAKE\s+reserve_s: 2.5\s+wait: true\s+resume \{\s+epoch: 4000000000\s+number: 7\s+\}\s+\}/);
+    const read = decode("ToEntity", protoc("encode", 'collaboration { run_id: "r" asked_at_ms: -3 service { name: "x" steps { preced: -1 role: 2 params { name: "p" values { int: -9 } } } } }'));
+    assert.equal(read.collaboration?.askedAtMs, -3n);
+    assert.deepEqual([read.collaboration.service?.steps[0]?.preced, read.collaboration.service?.steps[0]?.params[0]?.values[0]?.int], [-1, -9n]);
+});
+
+test("Unknown fields are skipped, and the last of several alternatives counts", () => {
+    const known = encode("ToClient", { text: { text: "hello" } });
+    const unknown = bytes(0xf8, 0x3f, 5, 0xfa, 0x3f, 2, 1, 2, 0xfd, 0x3f, 1, 2, 3, 4, 0xf9, 0x3f, 1, 2, 3, 4, 5, 6, 7, 8);
+    assert.equal(decode("ToClient", Uint8Array.from([...unknown, ...known])).text?.text, "hello");
+    const both = decode("ToClient", Uint8Array.from([...known, ...encode("ToClient", { reply: {} })]));
+    assert.deepEqual([both.text, both.reply?.refusal], [undefined, undefined]);
+    assert.ok(both.reply);
+});
+
+test("Hostile bytes are refused and leave nothing behind", () => {
+    const bad = [
+        bytes(0x0a), // ends within a length
+        bytes(0x0a, 5, 1), // is shorter than it says
+        bytes(0x0a, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 1), // a number without end
+        bytes(0x0a, 0xff, 0xff, 0xff, 0xff, 0x7f), // 32 GiB
+        bytes(0x00, 1), // field 0
+        bytes(0x0b), // a group
+        Uint8Array.from([0x4a, 4, 0x0a, 2, 0xc3, 0x28]), // a text that is not UTF-8
+    ];
+    for (const one of bad) assert.throws(() => decode("ToClient", one), Malformed, Buffer.from(one).toString("hex"));
+    // Two bytes each become an object: not without a bound.
+    const many = new Uint8Array(1_000_000);
+    for (let i = 0; i < many.length; i += 2) many[i] = 0x0a;
+    assert.throws(() => decode("ServicesProfile", many), Malformed);
+    const mean = decode("TaskEvent", encode("TaskEvent", { results: [{ name: "__proto__", values: [{ str: "x" }] }] }));
+    assert.equal(mean.results[0]?.name, "__proto__");
+    assert.equal(({} as Record<string, unknown>)["values"], undefined);
+});
+
+test("Random bytes never do more than fail", () => {
+    let seed = 12345;
+    const next = (): number => (seed = (seed * 1103515245 + 12345) & 0x7fffffff) >> 8;
+    for (let i = 0; i < 20_000; ++i) {
+        const one = Uint8Array.from({ length: next() % 40 }, () => next() & 0xff);
+        try {
+            decode(i % 2 === 0 ? "ToClient" : "RunHistory", one);
+        } catch (error) {
+            assert.ok(error instanceof Malformed);
+        }
+    }
+});
