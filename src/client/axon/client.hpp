@@ -47,9 +47,9 @@ struct Options {
     /// At most this many direct paths. The other entities are reached through the servers. A direct path
     /// costs two connections at each end.
     int direct_paths = 64;
-    /// The longest time, up to 250 µs, for which the thread that reads direct paths looks for the next message
-    /// before it sleeps. 0 = none. It does so while messages come in quick succession, and not on a machine
-    /// with one core (docs/reference/direct.md, "Spinning").
+    /// The longest time, up to 250 µs, for which the thread that reads direct paths looks for the next
+    /// message before it sleeps. 0 = none. It does so while messages come in quick succession, and not on a
+    /// machine with one core (docs/reference/direct.md, "Spinning").
     std::chrono::microseconds direct_spin{0};
     /// If set, the library calls it before each heartbeat while a task runs, on its heartbeat thread. Return
     /// false to suppress the heartbeat: a program whose socket is alive can still have lost its operator.
