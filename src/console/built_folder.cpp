@@ -26,13 +26,15 @@ std::string digestOf(const std::string& content) {
 }
 
 std::shared_ptr<const std::string> contentOf(const fs::path& file, std::size_t most) {
+    std::error_code unknown;
+    const auto size = fs::file_size(file, unknown);
+    if (unknown || size > most) return nullptr;
     std::ifstream in(file, std::ios::binary);
-    std::string content(most + 1, '\0');
+    std::string content(size + 1, '\0');  // one more: it may be growing
     in.read(content.data(), static_cast<std::streamsize>(content.size()));
     const auto got = static_cast<std::size_t>(in.gcount());
-    if (in.bad() || got > most) return nullptr;
-    content.resize(got);
-    return std::make_shared<const std::string>(std::move(content));
+    if (in.bad() || got > size) return nullptr;
+    return std::make_shared<const std::string>(content.data(), got);  // as large as the file, and no larger
 }
 
 bool isPlain(const std::string& path) {

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "certificates/certificate.hpp"
+#include "common/rate_limit.hpp"
 #include "console/built_folder.hpp"
 #include "console/core/console_core.hpp"
 #include "console/core/visitors.hpp"
@@ -79,13 +80,20 @@ struct ConsoleStation::Parts {
           clock(its_clock),
           note(std::move(its_note)),
           visitors(clock, random),
-          desk(login_desk, has_users, visitors, note),
+          desk(login_desk, has_users, visitors, [this](const std::string& line) { noteStranger(line); }),
           folder(folderOf(settings), clock, note),
           http(httpSettings(settings, ice_properties)) {}
+
+    /// Of what anybody can cause as often as they like: a few lines in a second, which push no others out of
+    /// the log.
+    void noteStranger(const std::string& line) {
+        if (strangers.admit(clock.now())) note(line);
+    }
 
     const ConsoleSettings settings;
     const Clock& clock;
     const Note note;
+    RateLimit strangers{10};
     console::Visitors visitors;
     ConsoleDesk desk;
     console::BuiltFolder folder;
@@ -111,7 +119,8 @@ void ConsoleStation::serve(std::uint16_t session_port) {
     const console::Sites sites(
         {endpoint.tls, its.http.port(), session_port, namesOf(its.settings), its.settings.proxies});
     its.desk.setSites(sites);
-    its.core.emplace(sites, its.folder, its.desk, its.visitors, its.note);
+    its.core.emplace(sites, its.folder, its.desk, its.visitors, its.note,
+                     [&its](const std::string& line) { its.noteStranger(line); });
     its.http.serve(*its.core, its.clock);
 }
 

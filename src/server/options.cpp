@@ -13,6 +13,7 @@
 #include <stdexcept>
 
 #include "common/release.hpp"
+#include "host/port_range.hpp"
 #include "server/users.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
@@ -93,8 +94,7 @@ std::vector<std::string> wordsOf(const std::string& text) {
 }
 
 /// Where nobody has said where the console is, it follows the port for clients, so that two servers have two.
-/// To other machines it opens only where clients come without TLS, too: a certificate of the laboratory's own
-/// CA is nothing that a browser accepts by itself.
+/// Then it is for this machine only: who wants browsers of others to reach it says so.
 void placeConsole(ServerSettings& settings) {
     auto& its = settings.console;
     its.required = !its.endpoint.empty() || !its.session_endpoint.empty();
@@ -103,7 +103,7 @@ void placeConsole(ServerSettings& settings) {
         auto pages = transport::parseEndpoints(settings.client_endpoint).front();
         if (pages.port >= 65535 - kConsolePort) return;
         if (pages.port != 0) pages.port = static_cast<std::uint16_t>(pages.port + kConsolePort);
-        if (pages.tls) pages = {"127.0.0.1", pages.port, false};
+        if (pages.tls || !isLoopback(pages.host)) pages = {"127.0.0.1", pages.port, false};
         its.endpoint = pages.text();
     }
     if (its.session_endpoint.empty()) {

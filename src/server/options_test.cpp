@@ -89,10 +89,10 @@ TEST(ServerOptions, TheConsoleIsBesideTheOtherPorts) {
     EXPECT_EQ(console({"--client-endpoint", "127.0.0.3:0"}), "127.0.0.3:0 127.0.0.3:0");
     EXPECT_EQ(console({"--client-endpoint", "127.0.0.3:65530"}), "none") << "there are no such ports";
     EXPECT_EQ(console({"--listen", "0.0.0.0", "--users", "users.cfg", "--plain-tcp"}),
-              "0.0.0.0:10417 0.0.0.0:10418");
-    EXPECT_EQ(console({"--client-endpoint", "ssl://0.0.0.0:20000", "--users", "users.cfg"}),
-              "127.0.0.1:20007 127.0.0.1:20008")
+              "127.0.0.1:10417 127.0.0.1:10418")
         << "not to other machines unless asked";
+    EXPECT_EQ(console({"--client-endpoint", "ssl://0.0.0.0:20000", "--users", "users.cfg"}),
+              "127.0.0.1:20007 127.0.0.1:20008");
     EXPECT_EQ(console({"--console-endpoint", "127.0.0.2:8000"}), "127.0.0.2:8000 127.0.0.2:8001 required");
     EXPECT_EQ(console({"--console-endpoint", "ssl://127.0.0.2:443", "--console-session-endpoint",
                        "ssl://127.0.0.2:444"}),

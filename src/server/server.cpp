@@ -198,6 +198,8 @@ transport::CommunicatorSettings browserSettings(const ServerSettings& settings) 
     auto its = communicatorSettings(settings, Lane::Data, {});
     its.name = "axon-browsers";
     its.properties["IceSSL.VerifyPeer"] = "0";
+    // What one browser sends, or somebody who never ends a request, does not keep the others waiting.
+    its.server_threads = std::max(4, settings.data_threads);
     return its;
 }
 

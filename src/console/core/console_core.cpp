@@ -104,8 +104,14 @@ bool isForm(std::string_view content_type) {
 }  // namespace
 
 ConsoleCore::ConsoleCore(Sites sites, FilesPort& files, LoginPort& logins, Visitors& visitors,
-                         std::function<void(const std::string&)> note)
-    : sites_(std::move(sites)), files_(files), logins_(logins), visitors_(visitors), note_(std::move(note)) {}
+                         std::function<void(const std::string&)> note,
+                         std::function<void(const std::string&)> strangers)
+    : sites_(std::move(sites)),
+      files_(files),
+      logins_(logins),
+      visitors_(visitors),
+      note_(std::move(note)),
+      strangers_(strangers ? std::move(strangers) : note_) {}
 
 std::string ConsoleCore::cookieName(const Site& site) const {
     // A browser sends the cookies of a host to all its ports: two servers on a machine need two names. The
@@ -155,9 +161,9 @@ void ConsoleCore::handle(Request request, std::function<void(Answer)> reply) {
     if (request.method != "POST") return answer(notPermitted("POST"));
     // A browser names the origin of every POST. What names none is no browser, and nobody's cookie is in it.
     if (request.origin != site->origin) {
-        note_(std::string("audit: console: a request ") +
-              (request.origin.empty() ? "without an origin" : "of a foreign page") + " from " + request.peer +
-              " was refused");
+        strangers_(std::string("audit: console: a request ") +
+                   (request.origin.empty() ? "without an origin" : "of a foreign page") + " from " +
+                   request.peer + " was refused");
         return answer(refused(403, RefusalCode::PermissionDenied,
                               "this request does not come from a page of this console; fix: open the console "
                               "at " +

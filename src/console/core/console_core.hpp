@@ -83,8 +83,10 @@ class ConsoleCore {
   public:
     static constexpr std::size_t kBodyMax = 4096;
 
+    /// `strangers` gets the lines that anybody can cause, `note` the others; none: `note` gets all of them.
     ConsoleCore(Sites sites, FilesPort& files, LoginPort& logins, Visitors& visitors,
-                std::function<void(const std::string& line)> note);
+                std::function<void(const std::string& line)> note,
+                std::function<void(const std::string& line)> strangers = {});
 
     /// `reply` is called once, perhaps before the call returns.
     void handle(Request request, std::function<void(Answer)> reply);
@@ -103,7 +105,7 @@ class ConsoleCore {
     FilesPort& files_;
     LoginPort& logins_;
     Visitors& visitors_;
-    const std::function<void(const std::string&)> note_;
+    const std::function<void(const std::string&)> note_, strangers_;
 };
 
 }  // namespace axon::console
