@@ -10,7 +10,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <csignal>
-#include <cstdlib>
 #include <iterator>
 #include <string_view>
 #include <thread>
@@ -75,9 +74,11 @@ std::vector<std::string> environmentWithoutPassword() {
 
 Desktop Desktop::here() {
     Desktop desktop;
-    for (const auto* name : kVariables) {
-        const char* value = std::getenv(name);
-        if (value != nullptr && *value != '\0') desktop.variables_[name] = value;
+    for (char** variable = environ; *variable != nullptr; ++variable) {
+        const std::string_view one = *variable;
+        const auto end = std::min(one.find('='), one.size());
+        if (isOfDesktop(one.substr(0, end)) && end + 1 < one.size())
+            desktop.variables_[std::string(one.substr(0, end))] = one.substr(end + 1);
     }
     return desktop;
 }

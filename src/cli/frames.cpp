@@ -9,8 +9,8 @@
 #include <cerrno>
 #include <cstdint>
 #include <cstdio>
-#include <cstring>
 #include <random>
+#include <system_error>
 
 #include "common/descriptor.hpp"
 #include "messages/text.hpp"
@@ -153,13 +153,13 @@ Result<void> replaceFile(const std::filesystem::path& file, std::string_view byt
         beside += fmt::format(".new-{:08x}{:08x}", random(), random());
         out = Descriptor(::open(beside.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666));
     } while (!out.open() && errno == EEXIST);
-    if (!out.open()) return refuse(std::strerror(errno));
+    if (!out.open()) return refuse(std::generic_category().message(errno));
     int error = writeAll(out.get(), bytes);
     out.reset();
     if (error == 0 && ::rename(beside.c_str(), file.c_str()) != 0) error = errno;
     if (error == 0) return {};
     ::unlink(beside.c_str());
-    return refuse(std::strerror(error));
+    return refuse(std::generic_category().message(error));
 }
 
 std::string viewerPage(const std::string& title, const std::string& path) {
