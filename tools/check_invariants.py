@@ -48,6 +48,7 @@ CORES = (
     "src/common/*",
     "src/*/*_core.*",
     "src/client/base/*",
+    "src/console/core/*",
     "src/client/core/*",
     "src/client/stops/*",
     "src/client/direct/direct_*",

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "console/core/visitors.hpp"
+
+#include <algorithm>
+
+namespace axon::console {
+namespace {
+
+std::string newKey(RandomSource& random) {
+    std::array<unsigned char, 16> bytes{};
+    random.fill(bytes.data(), bytes.size());
+    constexpr const char* kDigits = "0123456789abcdef";
+    std::string key;
+    for (const unsigned char byte : bytes) {
+        key += kDigits[byte >> 4U];
+        key += kDigits[byte & 15U];
+    }
+    return key;
+}
+
+}  // namespace
+
+void Visitors::Book::forget(const std::string& key) {
+    const auto found = entries_.find(key);
+    if (found == entries_.end()) return;
+    const auto its = of_user_.find(found->second.user);
+    std::erase(its->second, key);
+    if (its->second.empty()) of_user_.erase(its);
+    std::erase(order_, key);
+    entries_.erase(found);
+}
+
+void Visitors::Book::expire(TimePoint now) {
+    while (!order_.empty() && entries_.at(order_.front()).ends <= now) forget(std::string(order_.front()));
+}
+
+std::string Visitors::Book::add(const std::string& user, TimePoint now, RandomSource& random) {
+    expire(now);
+    if (const auto its = of_user_.find(user); its != of_user_.end() && its->second.size() >= most_of_one_)
+        forget(std::string(its->second.front()));
+    if (order_.size() >= most_) forget(std::string(order_.front()));
+    auto key = newKey(random);
+    entries_[key] = {user, now + life_};
+    order_.push_back(key);
+    of_user_[user].push_back(key);
+    return key;
+}
+
+std::optional<std::string> Visitors::Book::find(std::string_view key, TimePoint now) {
+    const auto found = entries_.find(key);
+    if (found == entries_.end() || found->second.ends <= now) return std::nullopt;
+    return found->second.user;
+}
+
+void Visitors::Book::remove(std::string_view key) {
+    forget(std::string(key));
+}
+
+std::string Visitors::enter(const std::string& user) {
+    const std::lock_guard lock(mutex_);
+    return visits_.add(user, clock_.now(), random_);
+}
+
+std::optional<std::string> Visitors::userOf(std::string_view key) {
+    const std::lock_guard lock(mutex_);
+    return visits_.find(key, clock_.now());
+}
+
+void Visitors::leave(std::string_view key) {
+    const std::lock_guard lock(mutex_);
+    visits_.remove(key);
+}
+
+std::string Visitors::ticket(const std::string& user) {
+    const std::lock_guard lock(mutex_);
+    return tickets_.add(user, clock_.now(), random_);
+}
+
+std::optional<std::string> Visitors::redeem(std::string_view ticket) {
+    const std::lock_guard lock(mutex_);
+    auto user = tickets_.find(ticket, clock_.now());
+    tickets_.remove(ticket);
+    return user;
+}
+
+}  // namespace axon::console
