@@ -12,7 +12,7 @@ import { Header } from "./parts/header";
 import { Notices, Questions } from "./parts/notices";
 import { route } from "./state/route";
 import { client, phase, problem } from "./state/session";
-import { chosen } from "./state/stops";
+import { chosen, putAway } from "./state/stops";
 import { sentence } from "./words/words";
 
 function Current(): preact.JSX.Element {
@@ -51,6 +51,7 @@ export function App(): preact.JSX.Element {
     const { page, subject } = route.value;
     useEffect(() => {
         chosen.value = undefined; // what the button stops is never left over from another page
+        putAway();
         if (first.current) first.current = false;
         else main.current?.focus({ preventScroll: true });
         scrollTo(0, 0);

@@ -5,6 +5,7 @@ import { Rearm } from "../parts/dock";
 import { Jobs } from "../parts/jobs";
 import { ServiceForm } from "../parts/service_form";
 import { Age, Empty, StateBadge } from "../parts/small";
+import { loadPlots } from "../parts/plot";
 import { Streams } from "../parts/streams";
 import { entities } from "../state/entities";
 import { checkOut, type Hold, holds, lastHolds, type Pending, pending } from "../state/holds";
@@ -12,7 +13,7 @@ import { journal, refused } from "../state/journal";
 import { linkTo } from "../state/route";
 import { client } from "../state/session";
 import { formatClock, formatMs } from "../words/format";
-import { plainKind, plainState, sentence } from "../words/words";
+import { canMove, plainKind, plainState, sentence } from "../words/words";
 import { Entries } from "./activity";
 
 function Held({ hold }: { readonly hold: Hold }): preact.JSX.Element {
@@ -29,16 +30,16 @@ function Held({ hold }: { readonly hold: Hold }): preact.JSX.Element {
                 <button type="button" onClick={() => void hold.release()}>
                     Release it
                 </button>
-                <button
-                    type="button"
-                    title="Stops what runs and goes on with the next task that waits"
-                    onClick={() => void hold.checkOut.reset().catch((error: unknown) => refused("The task was not ended", error, entity))}
-                >
-                    End the running task
-                </button>
-                <button type="button" title="Stops what runs and forgets the tasks that wait" onClick={() => void hold.checkOut.clear().catch((error: unknown) => refused("The queue was not emptied", error, entity))}>
-                    Empty the queue
-                </button>
+                {(hold.busy || (seen !== undefined && canMove(seen.entity))) && (
+                    <>
+                        <button type="button" title="Stops what runs and goes on with the next task that waits" onClick={() => void hold.checkOut.reset().catch((error: unknown) => refused("The task was not ended", error, entity))}>
+                            End the current task
+                        </button>
+                        <button type="button" title="Stops what runs and forgets the tasks that wait" onClick={() => void hold.checkOut.clear().catch((error: unknown) => refused("The queue was not emptied", error, entity))}>
+                            End all tasks
+                        </button>
+                    </>
+                )}
             </div>
         </div>
     );
@@ -251,6 +252,8 @@ export function EntityPage({ id }: { readonly id: string }): preact.JSX.Element 
     const hold = holds.value.get(id);
     const past = lastHolds.value.get(id);
     const { details, trouble } = useDetails(seen?.entity);
+    // Not when the first sample arrives: that is when a task has just begun, and the heartbeats of this page are fast.
+    useEffect(loadPlots, []);
     const [service, setService] = useState("");
     const entity = seen?.entity;
     if (seen === undefined || entity === undefined) {
@@ -286,7 +289,7 @@ export function EntityPage({ id }: { readonly id: string }): preact.JSX.Element 
                 </div>
                 <div class="state">
                     <StateBadge entity={entity} />
-                    <span class="quiet">{entity.latched ? "It does nothing until somebody rearms it." : entity.reason !== "" ? sentence(entity.reason) : long}</span>
+                    <span class="quiet">{entity.latched ? "It does nothing until somebody rearms it." : entity.reason !== "" ? sentence(entity.reason) : hold !== undefined && entity.state === "REG" ? "It waits for your task." : long}</span>
                     {!seen.fresh && (
                         <span class="quiet">
                             as it was <Age at={seen.seenAt} /> ago

@@ -38,7 +38,7 @@ export function StopPage(): preact.JSX.Element {
     const address = `${location.origin}${location.pathname}${linkTo("stop")}`;
     const onlyHere = /^(localhost|127\.|\[::1\])/.test(location.hostname);
     const moving = sorted.value.filter(({ entity }) => canMove(entity));
-    const others = sorted.value.filter(({ entity }) => !canMove(entity));
+    const others = sorted.value.filter(({ entity }) => !canMove(entity) && !entity.latched);
     return (
         <>
             <h1>Stop</h1>
@@ -71,9 +71,11 @@ export function StopPage(): preact.JSX.Element {
                             ))}
                         </ul>
                     )}
-                    <button type="button" aria-expanded={all} onClick={() => setAll(!all)}>
-                        {all ? "Hide the others" : `Show all ${others.length} others`}
-                    </button>
+                    {others.length > 0 && (
+                        <button type="button" aria-expanded={all} onClick={() => setAll(!all)}>
+                            {all ? "Hide the others" : `Show the ${others.length === 1 ? "other one" : `${others.length} others`}`}
+                        </button>
+                    )}
                     {all && (
                         <ul class="rows">
                             {others.slice(0, MOST).map((seen) => (

@@ -13,7 +13,11 @@ export function Notices(): preact.JSX.Element {
                     <div>
                         <strong>{text}</strong>
                         {more !== "" && <p>{more}</p>}
-                        {entity !== "" && route.value.subject !== entity && <a href={linkTo("entity", entity)}>Show it</a>}
+                        {entity !== "" && route.value.subject !== entity && (
+                            <p>
+                                <a href={linkTo("entity", entity)}>Show it</a>
+                            </p>
+                        )}
                     </div>
                     <button type="button" class="plain" aria-label="Dismiss" onClick={() => dismiss(number)}>
                         ✕

@@ -10,6 +10,10 @@ export interface Series {
 }
 const DRAW_MS = 100;
 const HIGH = 130;
+const load = (): Promise<[typeof import("uplot"), unknown]> => Promise.all([import("uplot"), import("uplot/dist/uPlot.min.css")]);
+export function loadPlots(): void {
+    load().catch(() => undefined);
+}
 
 /** Of numbers over time. The library for it is loaded when it is wanted first. */
 export function Plot({ series, label }: { readonly series: Series; readonly label: string }): preact.JSX.Element {
@@ -19,7 +23,7 @@ export function Plot({ series, label }: { readonly series: Series; readonly labe
         let lines = 0;
         let ended = false;
         let timer: ReturnType<typeof setInterval> | undefined;
-        void Promise.all([import("uplot"), import("uplot/dist/uPlot.min.css")]).then(([{ default: Plotter }]) => {
+        void load().then(([{ default: Plotter }]) => {
             const make = (): void => {
                 const box = place.current;
                 if (box === null) return;

@@ -5,8 +5,8 @@ import { signal } from "@preact/signals";
 import { remedyOf, sentence } from "../words/words";
 
 const KEPT = 2000;
-const SHOWN = 4;
-const SHOWN_MS = 12_000;
+const SHOWN = 3;
+const SHOWN_MS = { good: 5000, wait: 12_000 } as const;
 
 export const kinds = ["state", "who", "task", "stop", "fault", "refusal", "message", "connection"] as const;
 export type Kind = (typeof kinds)[number];
@@ -66,7 +66,7 @@ export function dismiss(number: number): void {
 export function say(tone: Notice["tone"], text: string, more = "", entity = ""): void {
     const notice: Notice = { number: ++count, tone, text, more, entity };
     notices.value = [...notices.value.filter((one) => one.text !== text), notice].slice(-SHOWN);
-    if (tone !== "bad") setTimeout(() => dismiss(notice.number), SHOWN_MS);
+    if (tone !== "bad") setTimeout(() => dismiss(notice.number), SHOWN_MS[tone]);
 }
 
 export const asRefusal = (error: unknown): Refusal => (error instanceof Refusal ? error : new Refusal("INTERNAL", error instanceof Error ? error.message : String(error)));

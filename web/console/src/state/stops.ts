@@ -53,7 +53,12 @@ export function describe(which: Scope, short = false): string {
     const ids = which === "these" ? these.value : [...holds.value.keys()];
     const only = ids[0];
     if (ids.length === 1 && only !== undefined) return entities.value.get(only)?.entity.name ?? nameOf(only);
-    return which === "held" ? (short ? `my ${ids.length}` : `the ${ids.length} that I hold`) : `the ${ids.length} selected`;
+    return which === "held" ? (short ? `My ${ids.length}` : `the ${ids.length} that I hold`) : `the ${ids.length} selected`;
+}
+
+/** Of a receipt that says nothing new, when the person turns to something else. */
+export function putAway(): void {
+    if (order.value?.done === true && order.value.trouble === "" && order.value.receipts.every(({ confirmed }) => confirmed)) order.value = undefined;
 }
 
 let count = 0;

@@ -22,6 +22,7 @@ export function formatMs(ms: number): string {
 /** A span of time, as coarse as a person would say it. */
 export function formatSpan(ms: number): string {
     const seconds = Math.max(Math.floor(ms / 1000), 0);
+    if (seconds < 1) return "a moment";
     if (seconds < 60) return `${seconds} s`;
     if (seconds < 3600) return `${Math.floor(seconds / 60)} min`;
     const hours = Math.floor(seconds / 3600);
