@@ -10,7 +10,7 @@ export interface Series {
 }
 const DRAW_MS = 100;
 const HIGH = 130;
-const load = (): Promise<[typeof import("uplot"), unknown]> => Promise.all([import("uplot"), import("uplot/dist/uPlot.min.css")]);
+const load = async (): Promise<typeof uPlot> => (await Promise.all([import("uplot"), import("uplot/dist/uPlot.min.css")]))[0].default;
 export function loadPlots(): void {
     load().catch(() => undefined);
 }
@@ -23,7 +23,7 @@ export function Plot({ series, label }: { readonly series: Series; readonly labe
         let lines = 0;
         let ended = false;
         let timer: ReturnType<typeof setInterval> | undefined;
-        void load().then(([{ default: Plotter }]) => {
+        void load().then((Plotter) => {
             const make = (): void => {
                 const box = place.current;
                 if (box === null) return;

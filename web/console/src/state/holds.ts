@@ -10,6 +10,19 @@ import { asRefusal, note, refused, say } from "./journal";
 const TICKETS = "axon-tickets";
 const TASKS_KEPT = 30;
 const TEXTS_KEPT = 200;
+/** Progress may come a hundred times in a second; nobody reads that fast, and drawing it takes time from the heartbeats. */
+const SHOW_MS = 100;
+function seldom(ms: number, act: () => void): () => void {
+    let waits = false;
+    return () => {
+        if (waits) return;
+        waits = true;
+        setTimeout(() => {
+            waits = false;
+            act();
+        }, ms);
+    };
+}
 
 export interface Job {
     readonly task: Task;
@@ -93,10 +106,11 @@ export class Hold {
             this.jobs.value = [{ task, service: service.name, asked, at: Date.now(), report, endedAt }, ...this.jobs.value].slice(0, TASKS_KEPT);
             note("task", this.entity, `${service.name} was asked for${asked === "" ? "" : `: ${asked}`}`);
             let state = "";
+            const show = seldom(SHOW_MS, () => (report.value = task.report()));
             task.onUpdate((its) => {
-                report.value = its;
-                if (its.state === state) return;
+                if (its.state === state) return show();
                 state = its.state;
+                report.value = its;
                 if (!isFinalTask(its.state)) return;
                 endedAt.value = Date.now();
                 const results = [...its.results].map(([name, values]) => `${name} ${formatValues(values)}`).join(", ");
