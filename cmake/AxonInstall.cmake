@@ -61,6 +61,8 @@ if(AXON_ICE)
   install(FILES "${config}/client.cfg" DESTINATION "${config_to}" COMPONENT axon)
   install(FILES "${config}/server.cfg" "${config}/clientrouter.cfg" DESTINATION "${config_to}" COMPONENT axon-server)
   install(FILES "${PROJECT_SOURCE_DIR}/api/schema/samples/valid/figure_a_1.xml" DESTINATION "${config_to}/globalservices" COMPONENT axon-server)
+  # The web console, if it has been built: npm run build in web/console.
+  install(DIRECTORY "${PROJECT_SOURCE_DIR}/web/console/dist/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/console" COMPONENT axon-server OPTIONAL)
   install(FILES "${config}/entitymanager.cfg" DESTINATION "${config_to}" COMPONENT axon-entity-manager)
   add_dependencies(installed_programs axon-manual) # src/cli installs manual pages and completion
 

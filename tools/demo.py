@@ -192,6 +192,11 @@ class Story:
         return (f"\n  export AXON_CONFIG={self.lab.env['AXON_CONFIG']}"
                 f"\n  axon-cluster status --folder {self.lab.server.folder}     (also: kill fe1, restart fe1)")
 
+    def console(self):
+        """The web console, where the server has one."""
+        at = self.lab.at.get("console")
+        return f"The web console: {at}\n" if at else ""
+
     def leave_running(self):
         self.say(f"""
 The laboratory is running. In another terminal:
@@ -204,7 +209,7 @@ The laboratory is running. In another terminal:
   axon run PeopleBot Wander Duration=30
   axon watch PeopleBot pose
   axon stop --all           (then: axon rearm PeopleBot)
-What the robots' cameras see: http://{self.world.at['PeopleBot.camera']}/ and http://{self.world.at['PeopleBot2.camera']}/
+{self.console()}What the robots' cameras see: http://{self.world.at['PeopleBot.camera']}/ and http://{self.world.at['PeopleBot2.camera']}/
 Logs: {self.lab.folder}
 Ctrl-C ends it.""")
         while all(p.child.poll() is None for p in self.lab.processes):

@@ -360,8 +360,9 @@ Parsed parseCommandLine(std::vector<std::string> words,
     line.verb = findVerb(nameOf(*sub));
     auto wrong_option = readMaybeDurations(*sub, *line.verb, line.args);
     const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor";
-    const bool finds_agent = connects || std::string_view(line.verb->name) == "agent";
-    if (wrong_option.empty() && !line.settings.config.empty() && finds_agent) {
+    const bool finds_server = connects || std::string_view(line.verb->name) == "agent" ||
+                              std::string_view(line.verb->name) == "console";
+    if (wrong_option.empty() && !line.settings.config.empty() && finds_server) {
         if (app.get_option("--config")->count() > 0) server_said = false;
         if (app.get_option("--server")->count() > 0) server_said = true;
         wrong_option = readConfig(line.settings, server_said);

@@ -38,7 +38,10 @@ constexpr std::chrono::milliseconds kLongest{60'000};
 
 /// One request and its answer.
 struct Exchange {
-    explicit Exchange(MHD_Connection* its) : connection(its) {}
+    Exchange(MHD_Connection* its, std::shared_ptr<const WakeUp> its_waker)
+        : waker(std::move(its_waker)), connection(its) {}
+
+    const std::shared_ptr<const WakeUp> waker;
 
     Request request;
     bool asked = false;
@@ -59,6 +62,7 @@ struct Exchange {
         if (!suspended || connection == nullptr) return;
         suspended = false;
         MHD_resume_connection(connection);
+        waker->wake();  // libmicrohttpd wakes only threads of its own
     }
 };
 
@@ -130,7 +134,7 @@ struct HttpServer::Parts {
 
     ~Parts() {
         stopping = true;
-        waker.wake();
+        waker->wake();
         if (thread.joinable()) thread.join();
         if (daemon == nullptr) return;
         // libmicrohttpd cannot end while connections are suspended; handle() gives them up.
@@ -191,7 +195,7 @@ struct HttpServer::Parts {
 
     void run() {
         while (!stopping) {
-            pollfd both[] = {{epoll, POLLIN, 0}, {waker.fd(), POLLIN, 0}};
+            pollfd both[] = {{epoll, POLLIN, 0}, {waker->fd(), POLLIN, 0}};
             auto wait = kLongest;
             if (const auto next = deadlines->next(); next != TimePoint::max())
                 wait = std::clamp(std::chrono::ceil<std::chrono::milliseconds>(clock->realTimeUntil(next)),
@@ -200,7 +204,7 @@ struct HttpServer::Parts {
                 wait = std::min<std::chrono::milliseconds>(
                     wait, std::chrono::milliseconds{std::min<MHD_UNSIGNED_LONG_LONG>(due, 60'000)});
             ::poll(both, 2, static_cast<int>(wait.count()));
-            waker.drain();
+            waker->drain();
             MHD_run(daemon);
             // Read by libmicrohttpd as the peer's end.
             for (const int late : deadlines->late()) ::shutdown(late, SHUT_RDWR);
@@ -238,7 +242,7 @@ struct HttpServer::Parts {
         auto& parts = *static_cast<Parts*>(cls);
         if (parts.stopping) return MHD_NO;
         if (*its == nullptr) {
-            auto exchange = std::make_shared<Exchange>(connection);
+            auto exchange = std::make_shared<Exchange>(connection, parts.waker);
             exchange->request.method = method;
             exchange->request.path = url;
             *its = new ExchangePtr(std::move(exchange));
@@ -293,7 +297,7 @@ struct HttpServer::Parts {
     const Clock* clock = nullptr;
     MHD_Daemon* daemon = nullptr;
     int epoll = -1;
-    const WakeUp waker;
+    const std::shared_ptr<const WakeUp> waker = std::make_shared<const WakeUp>();
     std::atomic<bool> stopping{false};
     // Of its thread only:
     std::optional<Deadlines> deadlines;

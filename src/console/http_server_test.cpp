@@ -67,14 +67,14 @@ class HeldLogins final : public LoginPort {
 
 class HttpServerTest : public testing::Test {
   protected:
-    explicit HttpServerTest(unsigned connections_of_one = 64) {
+    explicit HttpServerTest(unsigned connections_of_one = 64, bool real_time = false) {
         HttpServer::Settings settings;
         settings.host = loopbackAddress();
         settings.connections_of_one_max = connections_of_one;
         server.emplace(settings);
         core.emplace(Sites({false, server->port(), 10418, {}, {}}), files, logins, visitors,
                      [](const auto&) {});
-        server->serve(*core, clock);
+        server->serve(*core, real_time ? static_cast<const Clock&>(steady) : clock);
     }
     ~HttpServerTest() override {
         logins.settle();
@@ -149,6 +149,7 @@ class HttpServerTest : public testing::Test {
     }
 
     test::MovedClock clock;
+    SteadyClock steady;
     SystemRandom random;
     OneFile files;
     HeldLogins logins;
@@ -314,6 +315,21 @@ TEST_F(HttpServerTest, ACertificateThatIsNoneIsSaid) {
     settings.certificate = settings.key = "no certificate";
     HttpServer other(settings);
     EXPECT_THROW(other.serve(*core, clock), std::runtime_error);
+}
+
+class InRealTime : public HttpServerTest {
+  protected:
+    InRealTime() : HttpServerTest(64, true) {}
+};
+
+TEST_F(InRealTime, ALogInIsAnsweredAtOnceWhenItIsDecided) {
+    const auto waiting = connected();
+    write(waiting, post("/login", "user=anna&password=x"));
+    ASSERT_TRUE(waitUntil([&] { return logins.count() == 1; }));
+    // Nothing else happens that would wake the server's thread.
+    EXPECT_FALSE(waitUntil([] { return false; }, 100ms));
+    logins.settle();
+    EXPECT_THAT(read(waiting, "\"anna\""), StartsWith("HTTP/1.1 200 "));
 }
 
 class FewConnections : public HttpServerTest {

@@ -1,27 +1,35 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "front_end_server/front_end_server.hpp"
 
+#include <optional>
+
 #include "front_end_server/servants.hpp"
 #include "transport/sessions/server_rim.hpp"
+#include "transport/sessions/session_door.hpp"
 
 namespace axon::front_end_server {
 
 struct FrontEndServer::Parts {
     Parts(const FrontEndServerSettings& settings, const std::shared_ptr<Ice::Communicator>& data,
-          const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
+          const std::shared_ptr<Ice::Communicator>& signal, const Clock& its_clock, RandomSource& random,
           FrontEndCore::Note note)
         : topic(data, settings.topic_signals,
                 [this](const Header& head, const Refusal& refusal) {
                     core.entityRefusal(Lane::Data, head, refusal);
                 }),
           core(
-              settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
+              settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { rim.wake(); }, settings.global_services),
-          rim(core, topic, settings, data, signal, clock) {}
+          rim(core, topic, settings, data, signal, its_clock),
+          limits(*settings.limits),
+          clock(its_clock) {}
 
     IceEntityTopic topic;
     FrontEndCore core;
     transport::ServerRim<ClientSessions> rim;
+    transport::ConnectionLimits& limits;
+    const Clock& clock;
+    std::optional<transport::SessionDoor<ClientSessions>> browsers;
 };
 
 FrontEndServer::FrontEndServer(const FrontEndServerSettings& settings,
@@ -43,6 +51,15 @@ void FrontEndServer::publishTo(const std::vector<std::string>& entity_servers) {
 
 void FrontEndServer::activate() {
     parts_->rim.activate();
+    if (parts_->browsers) parts_->browsers->activate();
+}
+
+std::uint16_t FrontEndServer::listenToBrowsers(const std::string& endpoint,
+                                               const std::shared_ptr<Ice::Communicator>& communicator,
+                                               transport::Logins& logins) {
+    parts_->browsers.emplace(parts_->core, "FrontEndServerBrowsers", endpoint, *communicator, logins,
+                             parts_->limits, parts_->clock);
+    return parts_->browsers->port();
 }
 
 std::string FrontEndServer::routerAddress() const {
@@ -51,6 +68,7 @@ std::string FrontEndServer::routerAddress() const {
 
 void FrontEndServer::end() {
     parts_->rim.end();
+    if (parts_->browsers) parts_->browsers->end();
     if (parts_->rim.isOneOfSeveral()) parts_->topic.end();
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
@@ -70,6 +71,12 @@ class FrontEndServer {
     /// down.
     void publishTo(const std::vector<std::string>& entity_servers);
     void activate();
+    /// One more door, for browsers: an adapter FrontEndServerBrowsers at an endpoint of WebSocket in Ice's
+    /// form. Before activate(); returns the port that was taken. Throws std::runtime_error where it cannot
+    /// listen. What is referred to outlives the communicator.
+    std::uint16_t listenToBrowsers(const std::string& endpoint,
+                                   const std::shared_ptr<Ice::Communicator>& communicator,
+                                   transport::Logins& logins);
     /// Joins its own threads. Nothing is published afterwards.
     void end();
     /// Of the adapter for routers; empty where there is none.

@@ -3,6 +3,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include <algorithm>
 #include <charconv>
 #include <cstdio>
 #include <filesystem>
@@ -19,6 +20,8 @@
 
 namespace axon::server {
 namespace {
+
+constexpr int kConsolePort = 7;  // after the first of the family; that of its sessions follows
 
 std::vector<transport::Endpoint> endpointsOf(const std::string& where, const std::string& text) {
     try {
@@ -74,6 +77,47 @@ void findGlobalServices(ServerSettings& settings, const std::vector<std::string>
         "'" + folder +
         "' is not a folder: expected the folder with the profiles of the global services "
         "(Server.GlobalServices, --global-services); fix: create it, or leave the setting out");
+}
+
+/// Words apart by blanks or commas.
+std::vector<std::string> wordsOf(const std::string& text) {
+    constexpr const char* kApart = " \t,";
+    std::vector<std::string> words;
+    for (auto at = text.find_first_not_of(kApart); at != std::string::npos;
+         at = text.find_first_not_of(kApart, at)) {
+        const auto end = std::min(text.find_first_of(kApart, at), text.size());
+        words.push_back(text.substr(at, end - at));
+        at = end;
+    }
+    return words;
+}
+
+/// Where nobody has said where the console is, it follows the port for clients, so that two servers have two.
+/// To other machines it opens only where clients come without TLS, too: a certificate of the laboratory's own
+/// CA is nothing that a browser accepts by itself.
+void placeConsole(ServerSettings& settings) {
+    auto& its = settings.console;
+    its.required = !its.endpoint.empty() || !its.session_endpoint.empty();
+    if (!its.required && settings.role != ServerRole::Both) return;
+    if (its.endpoint.empty()) {
+        auto pages = transport::parseEndpoints(settings.client_endpoint).front();
+        if (pages.port >= 65535 - kConsolePort) return;
+        if (pages.port != 0) pages.port = static_cast<std::uint16_t>(pages.port + kConsolePort);
+        if (pages.tls) pages = {"127.0.0.1", pages.port, false};
+        its.endpoint = pages.text();
+    }
+    if (its.session_endpoint.empty()) {
+        auto sessions = transport::parseEndpoints(its.endpoint).front();
+        if (sessions.port != 0) ++sessions.port;
+        its.session_endpoint = sessions.text();
+    }
+    for (const auto& endpoint : {its.endpoint, its.session_endpoint})
+        checkEndpoints(endpoint, !settings.users_file.empty(), settings.plain_tcp);
+    std::error_code unknown;
+    if (!its.folder.empty() && !std::filesystem::is_directory(its.folder, unknown))
+        throw std::runtime_error("'" + its.folder +
+                                 "' is not a folder: expected that of the built console (Console.Files, "
+                                 "--console-files); fix: correct it, or leave the setting out");
 }
 
 void addUser(const std::string& file, const std::string& name, const std::string& role) {
@@ -133,6 +177,15 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         {"FrontEndServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
         {"EntityServerTopic.Endpoints", endpoint(settings.topic_endpoint)},
         {"EntityServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
+        {"Server.Console",
+         [&](const auto& where, const auto& text) {
+             settings.console.wanted = number(where, text, 0, 1) != 0;
+         }},
+        {"Console.Endpoints", endpoint(settings.console.endpoint)},
+        {"ConsoleSession.Endpoints", endpoint(settings.console.session_endpoint)},
+        {"Console.Files", [&](const auto&, const auto& text) { settings.console.folder = text; }},
+        {"Console.Names", [&](const auto&, const auto& text) { settings.console.names = wordsOf(text); }},
+        {"Console.Proxies", [&](const auto&, const auto& text) { settings.console.proxies = wordsOf(text); }},
         {"Server.Name",
          [&](const auto& where, const auto& text) {
              if (!isServerName(text))
@@ -187,7 +240,9 @@ Parsed parseOptions(int argc, char** argv) {
     std::string users;
     std::string user_to_add;
     std::string global_services;
+    std::string console_files;
     bool plain_tcp = false;
+    bool no_console = false;
     int base_port = -1;
     std::map<std::string, std::string> endpoints;
     Options options;
@@ -195,10 +250,10 @@ Parsed parseOptions(int argc, char** argv) {
                    "Configuration file (frontendserver.cfg, entityserver.cfg) with lines KEY = VALUE; repeat "
                    "it for several files (docs/reference/server_configuration.md)");
     app.add_option("--listen", listen, "Address on which all ports listen (127.0.0.1)");
-    app.add_option(
-           "--base-port", base_port,
-           "First of the four ports, which follow each other (10410); 0 takes free ports. The four options "
-           "below override it")
+    app.add_option("--base-port", base_port,
+                   "First of the four ports, which follow each other (10410); the console's are the eighth "
+                   "and ninth. "
+                   "0 takes free ports. The endpoint options below override it")
         ->check(CLI::Range(0, 65532));
     app.add_option("--client-endpoint", endpoints["client"],
                    "HOST:PORT or ssl://HOST:PORT for clients (127.0.0.1:10410); port 0 chooses a free port");
@@ -208,6 +263,14 @@ Parsed parseOptions(int argc, char** argv) {
                    "HOST:PORT for Entity Managers (127.0.0.1:10412)");
     app.add_option("--entity-signal-endpoint", endpoints["entity-signal"],
                    "HOST:PORT for the signal lane of Entity Managers (127.0.0.1:10413)");
+    app.add_option(
+        "--console-endpoint", endpoints["console"],
+        "HOST:PORT or ssl://HOST:PORT for the pages of the web console (the port for clients and 7 "
+        "more)");
+    app.add_option("--console-session-endpoint", endpoints["console-session"],
+                   "HOST:PORT for the sessions of the web console (the port of its pages and 1 more)");
+    app.add_option("--console-files", console_files, "Folder of the built web console (Console.Files)");
+    app.add_flag("--no-console", no_console, "Serve no web console (Server.Console=0)");
     app.add_flag("--plain-tcp", plain_tcp,
                  "Let other machines connect without TLS, in a network that you trust (Server.PlainTcp)");
     app.add_option("--users", users,
@@ -243,6 +306,10 @@ Parsed parseOptions(int argc, char** argv) {
     if (!users.empty()) settings.users_file = users;
     if (!global_services.empty()) settings.global_services = global_services;
     settings.plain_tcp = settings.plain_tcp || plain_tcp;
+    if (!console_files.empty()) settings.console.folder = console_files;
+    if (!endpoints["console"].empty()) settings.console.endpoint = endpoints["console"];
+    if (!endpoints["console-session"].empty())
+        settings.console.session_endpoint = endpoints["console-session"];
     if (!user_to_add.empty()) {
         addUser(settings.users_file, user_to_add, user_role);
         return {std::nullopt, 0};
@@ -274,6 +341,10 @@ Parsed parseOptions(int argc, char** argv) {
                                                        : settings.role == ServerRole::FrontEnd;
         if (!unused) checkEndpoints(*to, !settings.users_file.empty(), settings.plain_tcp);
     }
+    if (no_console || !settings.console.wanted || settings.role == ServerRole::Entity)
+        settings.console = {};
+    else
+        placeConsole(settings);
     return {std::move(options), 0};
 }
 

@@ -60,6 +60,33 @@ TEST(ServerOptions, TheFourPortsFollowTheBasePort) {
     EXPECT_EQ(parse({"--base-port", "65533"}).exit_code, 2) << "there is no fourth port";
 }
 
+TEST(ServerOptions, TheConsoleIsBesideTheOtherPorts) {
+    const auto console = [](const std::vector<std::string>& words) {
+        const auto its = parse(words).options->settings.console;
+        return its.endpoint.empty() ? std::string("none")
+                                    : transport::parseEndpoint(its.endpoint).address() + " " +
+                                          transport::parseEndpoint(its.session_endpoint).address() +
+                                          (its.required ? " required" : "");
+    };
+    EXPECT_EQ(console({}), "127.0.0.1:10417 127.0.0.1:10418");
+    EXPECT_EQ(console({"--base-port", "20000"}), "127.0.0.1:20007 127.0.0.1:20008");
+    EXPECT_EQ(console({"--base-port", "0"}), "127.0.0.1:0 127.0.0.1:0");
+    EXPECT_EQ(console({"--client-endpoint", "127.0.0.3:0"}), "127.0.0.3:0 127.0.0.3:0");
+    EXPECT_EQ(console({"--client-endpoint", "127.0.0.3:65530"}), "none") << "there are no such ports";
+    EXPECT_EQ(console({"--listen", "0.0.0.0", "--users", "users.cfg", "--plain-tcp"}),
+              "0.0.0.0:10417 0.0.0.0:10418");
+    EXPECT_EQ(console({"--client-endpoint", "ssl://0.0.0.0:20000", "--users", "users.cfg"}),
+              "127.0.0.1:20007 127.0.0.1:20008")
+        << "not to other machines unless asked";
+    EXPECT_EQ(console({"--console-endpoint", "127.0.0.2:8000"}), "127.0.0.2:8000 127.0.0.2:8001 required");
+    EXPECT_EQ(console({"--console-endpoint", "ssl://127.0.0.2:443", "--console-session-endpoint",
+                       "ssl://127.0.0.2:444"}),
+              "ssl://127.0.0.2:443 ssl://127.0.0.2:444 required");
+    EXPECT_EQ(console({"--no-console"}), "none");
+    EXPECT_THAT(complaint({"--console-endpoint", "0.0.0.0:80"}), HasSubstr("no users"));
+    EXPECT_THAT(complaint({"--console-files", "/no/such/folder"}), HasSubstr("fix: "));
+}
+
 TEST(ServerOptions, SaysWhatAddUserNeeds) {
     EXPECT_THAT(complaint({"--add-user", "client1", "--user-role", "admin"}), HasSubstr("add --users FILE"));
     EXPECT_THAT(complaint({"--add-user", "client1", "--users", "u"}),

@@ -16,6 +16,7 @@
 #include "front_end_server/front_end_server.hpp"
 #include "global_services/services_folder.hpp"
 #include "host/socket_owner.hpp"
+#include "server/console_station.hpp"
 #include "server/login_desk.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/connection_limits.hpp"
@@ -103,8 +104,9 @@ std::vector<std::string> endpointsOf(const ServerSettings& settings) {
         endpoints.push_back(settings.entity_endpoint);
         endpoints.push_back(settings.entity_signal_endpoint);
     }
-    for (const auto& router : {settings.client_router_endpoint, settings.entity_router_endpoint})
-        if (!router.empty()) endpoints.push_back(router);
+    for (const auto& other : {settings.client_router_endpoint, settings.entity_router_endpoint,
+                              settings.console.endpoint, settings.console.session_endpoint})
+        if (!other.empty()) endpoints.push_back(other);
     return endpoints;
 }
 
@@ -123,8 +125,29 @@ void checkBetweenServers(const ServerSettings& settings) {
     }
 }
 
+/// A browser opens no WebSocket without TLS from a page that came by TLS, and the other way round the page
+/// could be changed on its way.
+void checkConsole(const ConsoleSettings& console, bool has_users) {
+    if (console.endpoint.empty()) return;
+    if (!console.proxies.empty() && !has_users)
+        throw std::runtime_error(
+            "Console.Proxies is set, and the server has no users: whoever reaches the proxy could move the "
+            "robots; fix: name who may log in (axon-server --users FILE --add-user NAME --user-role ROLE, "
+            "then --users FILE), or leave Console.Proxies out");
+    const auto pages = parsed(console.endpoint), sessions = parsed(console.session_endpoint);
+    if (pages.size() != 1 || sessions.size() != 1)
+        throw std::runtime_error("'" + console.endpoint + "', '" + console.session_endpoint +
+                                 "': expected one endpoint each for the console's pages and sessions");
+    if (pages[0].tls != sessions[0].tls)
+        throw std::runtime_error(
+            "'" + console.endpoint + "' and '" + console.session_endpoint +
+            "': expected TLS for both the console's pages and its sessions, or for neither; fix: begin both "
+            "Console.Endpoints and ConsoleSession.Endpoints with ssl://");
+}
+
 std::optional<Users> usersOf(const ServerSettings& settings) {
     checkBetweenServers(settings);
+    checkConsole(settings.console, !settings.users_file.empty());
     const bool has_users = !settings.users_file.empty();
     bool open = false;
     for (const auto& endpoint : endpointsOf(settings)) {
@@ -168,6 +191,14 @@ std::string routerEndpoint(const std::string& endpoint) {
 
 std::string named(const char* name, const std::string& address) {
     return address.empty() ? address : name + address;
+}
+
+/// Of the console's sessions. A browser that is asked for a certificate gives up.
+transport::CommunicatorSettings browserSettings(const ServerSettings& settings) {
+    auto its = communicatorSettings(settings, Lane::Data, {});
+    its.name = "axon-browsers";
+    its.properties["IceSSL.VerifyPeer"] = "0";
+    return its;
 }
 
 /// What comes from the entities' signal lane are receipts and signs of life, which give way to stops.
@@ -286,6 +317,7 @@ class Server::Parts {
             its.topic_signals = receipts.communicator();
             front_end.emplace(its, data.communicator(), signal.communicator(), clock, random, note);
         }
+        if (front_end && !settings.console.endpoint.empty()) openConsole(settings);
         if (both) {
             clients_here.set(front_end->core());
             entities_here.set(entity->core());
@@ -307,8 +339,29 @@ class Server::Parts {
         data.communicator()->destroy();
         signal.communicator()->destroy();
         receipts.communicator()->destroy();
+        if (browsers) browsers->communicator()->destroy();
         if (entity) entity->end();
         if (front_end) front_end->end();
+    }
+
+    /// A console that nobody has asked for is no reason not to start: the robots need the server.
+    void openConsole(const ServerSettings& settings) {
+        try {
+            console.emplace(settings.console, settings.ice_properties, logins, !settings.users_file.empty(),
+                            steady, random, note);
+            browsers.emplace(transport::makeCommunicator(browserSettings(settings)));
+            const auto endpoint = parsed(settings.console.session_endpoint).at(0);
+            console_session_port =
+                front_end->listenToBrowsers(std::string(endpoint.tls ? "wss" : "ws") + " -h " +
+                                                endpoint.host + " -p " + std::to_string(endpoint.port),
+                                            browsers->communicator(), console->logins());
+            console->serve(console_session_port);
+        } catch (const std::runtime_error& error) {
+            // Once the front-end server listens for browsers, it needs the console.
+            if (settings.console.required || console_session_port != 0) throw;
+            spdlog::warn("the web console is left out: {}", error.what());
+            console.reset();
+        }
     }
 
     /// Each kind listens to the other one's topic. An entity server has something to say on both: messages of
@@ -349,6 +402,9 @@ class Server::Parts {
     Ice::CommunicatorHolder data;
     Ice::CommunicatorHolder signal;
     Ice::CommunicatorHolder receipts;
+    std::optional<ConsoleStation> console;
+    std::optional<Ice::CommunicatorHolder> browsers;  // where there is a console
+    std::uint16_t console_session_port = 0;
     ClientsHere clients_here;
     EntitiesHere entities_here;
     std::optional<global_services::ServicesFolder> services_folder;  // none in an entity server's process
@@ -384,6 +440,13 @@ std::string Server::entityRouterAddress() const {
     return parts_->entity ? parts_->entity->routerAddress() : std::string();
 }
 
+std::string Server::consoleAddress() const {
+    return parts_->console ? parts_->console->address() : std::string();
+}
+std::uint16_t Server::consoleSessionPort() const {
+    return parts_->console ? parts_->console_session_port : std::uint16_t{0};
+}
+
 std::string Server::readyLine() const {
     std::string line = "ready";
     if (parts_->front_end)
@@ -391,7 +454,7 @@ std::string Server::readyLine() const {
     if (parts_->entity)
         line += " entity=" + entityAddress(Lane::Data) + " entity-signal=" + entityAddress(Lane::Signal);
     return line + named(" client-router=", clientRouterAddress()) +
-           named(" entity-router=", entityRouterAddress());
+           named(" entity-router=", entityRouterAddress()) + named(" console=", consoleAddress());
 }
 
 std::vector<std::string> Server::margins() const {

@@ -18,6 +18,19 @@ enum class ServerRole : std::uint8_t {
     Entity     ///< one of several entity servers
 };
 
+/// The web console (docs/reference/console.md). Default: there is none.
+struct ConsoleSettings {
+    bool wanted = true;  ///< what Server.Console says; read by parseOptions() only
+    // One endpoint each, HOST:PORT or ssl://HOST:PORT.
+    std::string endpoint;          ///< of its pages; empty: no console
+    std::string session_endpoint;  ///< of its sessions, over WebSocket
+    /// Whether the server refuses to start without it: somebody has asked for it.
+    bool required = true;
+    std::string folder;                ///< of the built console; empty: the one that belongs to this program
+    std::vector<std::string> names;    ///< under which browsers call this machine, besides its own
+    std::vector<std::string> proxies;  ///< origins, such as https://lab.example, of proxies before it
+};
+
 /// Settings of `axon-server`; docs/reference/ports.md and server_configuration.md.
 struct ServerSettings {
     ServerRole role = ServerRole::Both;
@@ -41,7 +54,8 @@ struct ServerSettings {
     entity_server::EntityServerCoreSettings entity;
     std::string users_file;       ///< users.cfg; empty: none, and loopback only
     std::string global_services;  ///< the folder of global services; empty: there are none
-    bool plain_tcp = false;       ///< also where other machines can reach it
+    ConsoleSettings console;
+    bool plain_tcp = false;                             ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted
 };
@@ -77,8 +91,12 @@ class Server {
     /// For routers; empty where none are let in.
     std::string clientRouterAddress() const;
     std::string entityRouterAddress() const;
+    /// "http://127.0.0.1:10417/"; empty where there is no console.
+    std::string consoleAddress() const;
+    /// The port of the console's sessions; 0 where there is none.
+    std::uint16_t consoleSessionPort() const;
     /// "ready client=… client-signal=… entity=… entity-signal=…", of the servers that are here, and
-    /// client-router=… entity-router=… where routers are let in.
+    /// client-router=… entity-router=… where routers are let in, and console=… where there is one.
     std::string readyLine() const;
 
     /// For people: how near each watchdog came to its end in the last minute, and how long stops take.

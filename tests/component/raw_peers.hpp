@@ -258,6 +258,21 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
                                                 std::make_shared<Callback>(*this, "signal"));
         signal()->attachSignalLane(facts.token, signal_callback);
     }
+    /// In a browser, with one lane over WebSocket: an endpoint in Ice's form.
+    struct Socket {
+        std::string endpoint;
+    };
+    RawClient(const Socket& socket, const std::string& user, const std::string& password,
+              const std::map<std::string, std::string>& properties = {})
+        : RawPeer(properties) {
+        const auto callback = openData(
+            "ClientGate:" + socket.endpoint,
+            [&](const std::shared_ptr<Axon::FrontEndComm::ClientGatePrx>& gate) {
+                return gate->open(user, password, "page@browser");
+            },
+            std::make_shared<Callback>(*this, "data"));
+        facts = data()->setCallback(callback);
+    }
     /// Behind a router: `first` for the data lane, `second` for the signal lane.
     struct Routers {
         std::string first, second;

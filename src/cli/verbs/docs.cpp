@@ -1,13 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include <spawn.h>
-#include <sys/wait.h>
-
-#include <cerrno>
-#include <csignal>
-#include <cstdlib>
 #include <string_view>
 
 #include "cli/holding.hpp"
+#include "cli/open_page.hpp"
 #include "cli/verbs/docs_place.hpp"
 
 // axon docs: the documentation site that is installed, or was built, with this program
@@ -30,30 +25,6 @@ std::optional<fs::path> docsPage(const fs::path& program, std::string_view page)
 
 namespace {
 
-/// 0, or why not, as errno says it. Waits for xdg-open, which does not wait for the browser.
-int show(const std::string& page) {
-    posix_spawnattr_t attributes;
-    ::posix_spawnattr_init(&attributes);
-    sigset_t none;
-    ::sigemptyset(&none);
-    ::posix_spawnattr_setsigmask(&attributes, &none);  // ours are blocked, and that would be inherited
-    ::posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
-    std::string opener = "xdg-open", operand = page;
-    char* const words[] = {opener.data(), operand.data(), nullptr};
-    pid_t child = 0;
-    const int error = ::posix_spawnp(&child, "xdg-open", nullptr, &attributes, words, environ);
-    ::posix_spawnattr_destroy(&attributes);
-    if (error != 0) return error;
-    int status = 0;
-    while (::waitpid(child, &status, 0) < 0 && errno == EINTR) {
-    }
-    return WIFEXITED(status) && WEXITSTATUS(status) == 0 ? 0 : ENOEXEC;
-}
-
-bool hasDisplay() {
-    return std::getenv("DISPLAY") != nullptr || std::getenv("WAYLAND_DISPLAY") != nullptr;
-}
-
 int docs(Session& session) {
     std::error_code unknown;
     const auto page = session.args.value("page", std::string{});
@@ -69,7 +40,7 @@ int docs(Session& session) {
             "install the package axon-doc, or build the pages from the sources with tools/make_docs; "
             "the same texts are in the folder docs of the sources");
     const bool open = !session.args.value("path", false) && hasDisplay();
-    const int error = open ? show(found->string()) : 0;
+    const int error = open ? openPage(found->string()) : 0;
     session.events.emit({{"event", "line"}, {"text", found->string()}});
     if (error == 0) return kDone;
     session.events.emit(

@@ -10,7 +10,7 @@ extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, k
     kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
     kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory, kHelp, kInit, kManual;
 
-extern const Verb kDocs;
+extern const Verb kConsole, kDocs;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
@@ -49,6 +49,7 @@ const std::vector<const Verb*>& verbs() {
         &kBench,          //
         &kCerts,          //
         &kAgent,          //
+        &kConsole,        //
         &kDocs,           //
         &kCompletion,     //
         &kHelp,           //

@@ -22,7 +22,9 @@ struct LoginRequest {
     std::string password;
     std::string peer;
     std::string local;
-    std::optional<PeerCertificate> certificate;
+    std::optional<PeerCertificate> certificate = {};
+    /// The page from which a browser connects, by the header `Origin` of its WebSocket; none of others.
+    std::optional<std::string> origin = {};
 };
 
 /// Who it is. `user` is empty where the server runs without users.

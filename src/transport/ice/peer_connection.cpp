@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/ice/peer_connection.hpp"
 
+#include <algorithm>
+#include <cctype>
+#include <string_view>
+
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/tls.hpp"
 
@@ -90,6 +94,24 @@ std::string DirectConnection::localOf(const Ice::Connection& connection) {
 std::string DirectConnection::remoteAddressOf(const Ice::Connection& connection) {
     const auto ip = ipOf(connection);
     return ip ? ip->remoteAddress : std::string();
+}
+
+std::optional<std::string> DirectConnection::originOf(const Ice::Connection& connection) {
+    constexpr std::string_view kOrigin = "origin";
+    const auto isOrigin = [&](const std::string& name) {
+        return std::equal(name.begin(), name.end(), kOrigin.begin(), kOrigin.end(),
+                          [](unsigned char a, char b) { return std::tolower(a) == b; });
+    };
+    try {
+        for (auto layer = connection.getInfo(); layer; layer = layer->underlying) {
+            const auto socket = std::dynamic_pointer_cast<Ice::WSConnectionInfo>(layer);
+            if (!socket) continue;
+            for (const auto& [name, value] : socket->headers)
+                if (isOrigin(name)) return value;
+        }
+    } catch (const Ice::LocalException&) {  // closed meanwhile
+    }
+    return std::nullopt;
 }
 
 bool DirectConnection::tls() const {

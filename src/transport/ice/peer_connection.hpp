@@ -6,6 +6,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 
 #include "transport/ice/convert.hpp"
@@ -71,6 +72,8 @@ class DirectConnection final : public PeerConnection {
     static std::string localOf(const Ice::Connection& connection);
     /// The peer's own address; empty when not TCP.
     static std::string remoteAddressOf(const Ice::Connection& connection);
+    /// The header `Origin` with which a browser opened a WebSocket; none of other connections.
+    static std::optional<std::string> originOf(const Ice::Connection& connection);
 
   private:
     struct Told {

@@ -201,6 +201,7 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
     request.peer = DirectConnection::peerOf(*peer->get());
     request.local = DirectConnection::localOf(*peer->get());
     request.certificate = certificateOf(*peer->get());
+    request.origin = DirectConnection::originOf(*peer->get());
     Logins::Answer answer = [&lane, peer, adapter = current.adapter, opened = std::move(opened),
                              refused = std::move(refused),
                              display_name = std::move(display_name)](Result<LoggedIn> who) {

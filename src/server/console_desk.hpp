@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <functional>
+#include <optional>
+#include <string>
+
+#include "console/core/console_core.hpp"
+#include "console/core/sites.hpp"
+#include "console/core/visitors.hpp"
+#include "server/login_desk.hpp"
+
+namespace axon::server {
+
+/// Who comes in through the web console: passwords at its pages, tickets at its sessions.
+///
+/// With users, a session is opened with a ticket that the page was given for its cookie; a password is not
+/// accepted there, so that no page has a reason to keep one. Without users a session is opened without
+/// anything, and its role is that of the process, as on the clients' port. With or without, a browser that
+/// connects from a page that is not ours is refused, whatever it shows.
+///
+/// Threads: any. setSites() is called before anybody comes in. Passwords are verified by the LoginDesk, which
+/// also slows down who guesses them.
+class ConsoleDesk final : public transport::Logins, public console::LoginPort {
+  public:
+    using Note = std::function<void(const std::string& line)>;
+
+    /// What is referred to outlives it.
+    ConsoleDesk(LoginDesk& desk, bool has_users, console::Visitors& visitors, Note note);
+    void setSites(console::Sites sites) { sites_.emplace(std::move(sites)); }
+
+    bool needed() const override { return has_users_; }
+    void login(const std::string& user, const std::string& password, const console::Request& request,
+               Answered answered) override;
+
+    void client(transport::LoginRequest request, Answer answer) override;
+    void entity(transport::LoginRequest request, Answer answer) override;
+    /// No router is let in here.
+    Result<transport::LoggedIn> vouchedClient(
+        const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
+    Result<transport::LoggedIn> vouchedEntity(
+        const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
+    bool mayVouch(const std::string&, const std::string&) override { return false; }
+
+  private:
+    LoginDesk& desk_;
+    const bool has_users_;
+    console::Visitors& visitors_;
+    const Note note_;
+    std::optional<console::Sites> sites_;
+};
+
+}  // namespace axon::server

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "server/console_desk.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <future>
+#include <vector>
+
+namespace axon::server {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+using transport::LoggedIn;
+
+const std::string kHash =
+    "$6$saltsalt$jCP90RmSIIja2o9FRs25ASQaR1lMN6uKHmNcHaoNCpAXgV3n5NfAlQdZQcvMVQO1BTCOFF0LzoHFZBt9E45NW0";
+
+class ConsoleDeskTest : public testing::Test {
+  protected:
+    explicit ConsoleDeskTest(bool has_users = true)
+        : logins(
+              has_users ? std::optional(Users::parse("watcher observer " + kHash + "\nboss admin " + kHash +
+                                                         "\nleft entity " + kHash,
+                                                     "users.cfg"))
+                        : std::nullopt,
+              clock, [](const auto&) {}, [](const auto&, const auto&) { return ::geteuid(); }),
+          desk(logins, has_users, visitors, [this](const std::string& line) { notes.push_back(line); }) {
+        desk.setSites(console::Sites({false, 10417, 10418, {}, {"https://lab.example"}}));
+    }
+    ~ConsoleDeskTest() override { logins.close(); }
+
+    Result<LoggedIn> open(const std::string& password,
+                          std::optional<std::string> origin = "http://127.0.0.1:10417") {
+        std::promise<Result<LoggedIn>> promise;
+        transport::LoginRequest request{"anybody", password, "127.0.0.1:50122", "127.0.0.1:10418"};
+        request.origin = std::move(origin);
+        desk.client(std::move(request), [&](Result<LoggedIn> who) { promise.set_value(std::move(who)); });
+        return promise.get_future().get();
+    }
+    Result<console::LoginPort::Visitor> logIn(const std::string& user, const std::string& password) {
+        std::promise<Result<console::LoginPort::Visitor>> promise;
+        console::Request request;
+        request.peer = "127.0.0.1:50122";
+        request.local = "127.0.0.1:10417";
+        desk.login(user, password, request, [&](auto who) { promise.set_value(std::move(who)); });
+        return promise.get_future().get();
+    }
+
+    ManualClock clock;
+    SeededRandom random{1};
+    console::Visitors visitors{clock, random};
+    std::vector<std::string> notes;
+    LoginDesk logins;
+    ConsoleDesk desk;
+};
+
+class ConsoleWithoutUsers : public ConsoleDeskTest {
+  protected:
+    ConsoleWithoutUsers() : ConsoleDeskTest(false) {}
+};
+
+TEST_F(ConsoleDeskTest, ATicketOpensOneSessionAsItsUser) {
+    const auto ticket = visitors.ticket("watcher");
+    const auto who = open(ticket);
+    ASSERT_TRUE(who) << who.refusal().message;
+    EXPECT_EQ(who->user, "watcher");
+    EXPECT_EQ(who->role, Role::Observer);
+    EXPECT_FALSE(open(ticket)) << "a second one";
+}
+
+TEST_F(ConsoleDeskTest, AnOldTicketOpensNone) {
+    const auto ticket = visitors.ticket("boss");
+    clock.advance(31s);
+    EXPECT_THAT(open(ticket).refusal().message, HasSubstr("ask for a new one"));
+}
+
+TEST_F(ConsoleDeskTest, APasswordIsNoTicket) {
+    EXPECT_FALSE(open("secret1"));
+    EXPECT_FALSE(open(""));
+    EXPECT_FALSE(open(visitors.enter("boss"))) << "nor is the cookie";
+    ASSERT_EQ(notes.size(), 3U);
+    EXPECT_THAT(notes[0], HasSubstr("audit: console: failed log-in from 127.0.0.1:50122"));
+}
+
+TEST_F(ConsoleDeskTest, AForeignPageOpensNoSessionWhateverItShows) {
+    for (const auto* origin :
+         {"http://other.example", "null", "", "http://127.0.0.1:3000", "https://127.0.0.1:10417"}) {
+        const auto who = open(visitors.ticket("boss"), origin);
+        ASSERT_FALSE(who) << origin;
+        EXPECT_EQ(who.refusal().code, RefusalCode::PermissionDenied);
+    }
+    EXPECT_TRUE(open(visitors.ticket("boss"), "https://lab.example")) << "the proxy's page";
+}
+
+TEST_F(ConsoleDeskTest, WhatIsNoBrowserNeedsATicketToo) {
+    EXPECT_FALSE(open("", std::nullopt));
+    EXPECT_TRUE(open(visitors.ticket("boss"), std::nullopt));
+}
+
+TEST_F(ConsoleDeskTest, NobodyElseComesInHere) {
+    bool refused = false;
+    desk.entity({"left", "secret1", "127.0.0.1:1", "127.0.0.1:2"}, [&](auto who) { refused = !who; });
+    EXPECT_TRUE(refused);
+    EXPECT_FALSE(desk.vouchedClient("boss"));
+    EXPECT_FALSE(desk.vouchedEntity("left"));
+    EXPECT_FALSE(desk.mayVouch("127.0.0.1:1", "127.0.0.1:2"));
+    EXPECT_FALSE(open(visitors.ticket("left"))) << "the role entity is for Entity Managers";
+}
+
+TEST_F(ConsoleDeskTest, WhoGuessesPasswordsIsSlowedDown) {
+    for (int i = 0; i < 3; ++i)
+        EXPECT_THAT(logIn("boss", "wrong").refusal().message, HasSubstr("wrong user or password"));
+    const auto refused = logIn("boss", "wrong");
+    EXPECT_THAT(refused.refusal().message, HasSubstr("try again in 1 s"));
+}
+
+TEST_F(ConsoleWithoutUsers, TheServersOwnUserIsAdminAndForeignPagesAreRefusedAllTheSame) {
+    EXPECT_FALSE(desk.needed());
+    EXPECT_EQ(open("")->role, Role::Admin);
+    EXPECT_EQ(open("", std::nullopt)->role, Role::Admin);
+    EXPECT_FALSE(open("", "http://other.example"));
+}
+
+}  // namespace
+}  // namespace axon::server

@@ -1,0 +1,365 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The web console from outside: pages over HTTP, and sessions over WebSocket as a browser opens them.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+
+#include <array>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <thread>
+
+#include "common/descriptor.hpp"
+#include "component/any_ports.hpp"
+#include "component/raw_peers.hpp"
+#include "server/users.hpp"
+#include "support/certificate_folder.hpp"
+#include "transport/ice/endpoint.hpp"
+
+namespace axon::test {
+namespace {
+
+namespace fs = std::filesystem;
+using namespace std::chrono_literals;
+using Json = nlohmann::json;
+using testing::HasSubstr;
+using testing::Not;
+using testing::StartsWith;
+
+Descriptor connectedTo(const std::string& host, std::uint16_t port) {
+    Descriptor fd(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    ::inet_pton(AF_INET, host.c_str(), &address.sin_addr);
+    const timeval patience{10, 0};
+    ::setsockopt(fd.get(), SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+    EXPECT_EQ(::connect(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    return fd;
+}
+
+void sendAll(int fd, std::string_view text) {
+    while (!text.empty()) {
+        const auto sent = ::send(fd, text.data(), text.size(), MSG_NOSIGNAL);
+        if (sent <= 0) return;
+        text.remove_prefix(static_cast<std::size_t>(sent));
+    }
+}
+
+std::string received(int fd, std::string_view end = {}) {
+    std::string all;
+    std::array<char, 4096> buffer;
+    while (end.empty() || all.find(end) == std::string::npos) {
+        const auto got = ::recv(fd, buffer.data(), buffer.size(), 0);
+        if (got <= 0) break;
+        all.append(buffer.data(), static_cast<std::size_t>(got));
+    }
+    return all;
+}
+
+/// A relay for one connection that writes a header into the request of its WebSocket: Ice for C++ sends no
+/// Origin, as a browser does.
+class WithOrigin {
+  public:
+    WithOrigin(const std::string& host, std::uint16_t port, std::string origin)
+        : listener_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+        sockaddr_in address{};
+        address.sin_family = AF_INET;
+        ::inet_pton(AF_INET, loopbackAddress().c_str(), &address.sin_addr);
+        ::bind(listener_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address);
+        ::listen(listener_.get(), 4);
+        socklen_t size = sizeof address;
+        ::getsockname(listener_.get(), reinterpret_cast<sockaddr*>(&address), &size);
+        port_ = ntohs(address.sin_port);
+        thread_ = std::thread([this, host, port, origin = std::move(origin)] {
+            const Descriptor near(::accept(listener_.get(), nullptr, nullptr));
+            if (near.get() < 0) return;
+            const auto far = connectedTo(host, port);
+            auto request = received(near.get(), "\r\n\r\n");
+            request.insert(request.find("\r\n") + 2, "Origin: " + origin + "\r\n");
+            sendAll(far.get(), request);
+            std::thread back([&] { pump(far.get(), near.get()); });
+            pump(near.get(), far.get());
+            back.join();
+        });
+    }
+    ~WithOrigin() {
+        ::shutdown(listener_.get(), SHUT_RDWR);
+        thread_.join();
+    }
+    std::string endpoint() const {
+        return "ws -h " + loopbackAddress() + " -p " + std::to_string(port_) + " -r /axon";
+    }
+
+  private:
+    static void pump(int from, int to) {
+        std::array<char, 4096> buffer;
+        while (true) {
+            const auto got = ::recv(from, buffer.data(), buffer.size(), 0);
+            if (got < 0 && errno == EAGAIN) continue;
+            if (got <= 0) break;
+            sendAll(to, {buffer.data(), static_cast<std::size_t>(got)});
+        }
+        ::shutdown(to, SHUT_WR);
+        ::shutdown(from, SHUT_RD);
+    }
+    Descriptor listener_;
+    std::uint16_t port_ = 0;
+    std::thread thread_;
+};
+
+class RawBrowser : public RawClient {
+  public:
+    RawBrowser(const std::string& endpoint, const std::string& user, const std::string& password,
+               const std::map<std::string, std::string>& properties = {})
+        : RawClient(Socket{endpoint}, user, password, properties) {}
+};
+
+class Console : public testing::Test {
+  protected:
+    explicit Console(bool with_users = false) {
+        std::string name = (fs::temp_directory_path() / "axon-console-XXXXXX").string();
+        folder = ::mkdtemp(name.data());
+        auto settings = onLoopback();
+        settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+        settings.console.folder = (folder / "dist").string();
+        if (with_users) {
+            settings.users_file = (folder / "users.cfg").string();
+            server::writeUser(settings.users_file, "boss", server::UserRole::Admin, "secret1");
+            server::writeUser(settings.users_file, "watcher", server::UserRole::Observer, "secret2");
+            server::writeUser(settings.users_file, "left", server::UserRole::Entity, "secret3");
+        }
+        server.emplace(settings);
+    }
+    ~Console() override {
+        server.reset();
+        fs::remove_all(folder);
+    }
+
+    std::string origin() const {
+        auto its = server->consoleAddress();
+        its.pop_back();
+        return its;
+    }
+    std::string host() const { return origin().substr(std::string("http://").size()); }
+    std::uint16_t port() const {
+        return static_cast<std::uint16_t>(std::stoi(host().substr(host().find(':') + 1)));
+    }
+
+    std::string exchange(const std::string& text) const {
+        const auto fd = connectedTo(loopbackAddress(), port());
+        sendAll(fd.get(), text);
+        return received(fd.get());
+    }
+    std::string get(const std::string& path) const {
+        return exchange("GET " + path + " HTTP/1.1\r\nHost: " + host() + "\r\nConnection: close\r\n\r\n");
+    }
+    std::string post(const std::string& path, const std::string& body = {},
+                     const std::string& cookie = {}) const {
+        return exchange("POST " + path + " HTTP/1.1\r\nHost: " + host() + "\r\nOrigin: " + origin() +
+                        "\r\nConnection: close\r\nContent-Type: application/x-www-form-urlencoded\r\n" +
+                        (cookie.empty() ? "" : "Cookie: " + cookie + "\r\n") +
+                        "Content-Length: " + std::to_string(body.size()) + "\r\n\r\n" + body);
+    }
+    static Json jsonOf(const std::string& answer) {
+        return Json::parse(answer.substr(answer.find("\r\n\r\n") + 4), nullptr, false);
+    }
+    static std::string cookieOf(const std::string& answer) {
+        const std::string name = "Set-Cookie: ";
+        const auto at = answer.find(name);
+        if (at == std::string::npos) return {};
+        const auto begin = at + name.size();
+        return answer.substr(begin, answer.find(';', begin) - begin);
+    }
+    /// A page of this console opens a session.
+    Json ticket(const std::string& cookie = {}) const { return jsonOf(post("/ticket", {}, cookie)); }
+    std::string sessions() const {
+        return "ws -h " + loopbackAddress() + " -p " + std::to_string(server->consoleSessionPort()) +
+               " -r /axon";
+    }
+    static std::string refusalOf(const std::function<void()>& open) {
+        try {
+            open();
+        } catch (const Axon::CommUtil::RequestRefused& refused) {
+            return refused.reason;
+        }
+        return "opened";
+    }
+
+    fs::path folder;
+    std::optional<server::Server> server;
+};
+
+class ConsoleWithUsers : public Console {
+  protected:
+    ConsoleWithUsers() : Console(true) {}
+};
+
+TEST_F(Console, IsInTheReadyLineAndSaysWhatIsMissing) {
+    EXPECT_THAT(server->readyLine(), testing::EndsWith(" console=" + server->consoleAddress()));
+    EXPECT_THAT(server->consoleAddress(), StartsWith("http://" + loopbackAddress() + ":"));
+    const auto page = get("/");
+    EXPECT_THAT(page, StartsWith("HTTP/1.1 503 "));
+    EXPECT_THAT(page, HasSubstr("npm run build"));
+    EXPECT_THAT(page, HasSubstr("connect-src 'self' ws://" + loopbackAddress() + ":" +
+                                std::to_string(server->consoleSessionPort())));
+}
+
+TEST_F(Console, ServesWhatHasBeenBuiltMeanwhile) {
+    fs::create_directories(folder / "dist/assets");
+    std::ofstream(folder / "dist/assets/a.js") << "script";
+    std::ofstream(folder / "dist/index.html") << "first page";
+    EXPECT_THAT(get("/"), HasSubstr("\r\n\r\nfirst page"));
+    EXPECT_THAT(get("/assets/a.js"), HasSubstr("Content-Type: text/javascript; charset=utf-8\r\n"));
+    EXPECT_THAT(get("/../../../../../etc/passwd"), StartsWith("HTTP/1.1 404 "));
+}
+
+TEST_F(Console, WithoutUsersAPageOpensASessionOverWebSocketAndStopsARobot) {
+    RawEntity robot(server->entityAddress(Lane::Data), kFirst);
+    robot.join();
+    const auto its = ticket();
+    ASSERT_TRUE(its.contains("endpoint")) << its;
+    const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), origin());
+    RawBrowser client(browser.endpoint(), "", its["password"]);
+    EXPECT_EQ(client.facts.signalEndpoint, "") << "one lane carries everything";
+    EXPECT_EQ(client.facts.me.role, Axon::CommUtil::Role::Admin) << "the server's own user";
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kFirst); }));
+    client.data()->ice_oneway()->sendStopSignal(transport::toIce(client.headTo(kFirst)),
+                                                Axon::CommUtil::StopCause::Requested);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("data stop accepted for 1"); }));
+}
+
+TEST_F(Console, TheEndpointOfATicketIsThatOfTheSessions) {
+    EXPECT_EQ(ticket()["endpoint"], sessions());
+    RawBrowser(sessions(), "", "");
+}
+
+TEST_F(Console, AForeignPageOpensNoSession) {
+    for (const auto* foreign : {"http://other.example", "null", "http://localhost:3000"}) {
+        const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), foreign);
+        EXPECT_THAT(refusalOf([&] { RawBrowser(browser.endpoint(), "", ""); }),
+                    HasSubstr("not this server's console"))
+            << foreign;
+    }
+}
+
+TEST_F(Console, APeerThatDoesNotFinishItsWebSocketIsClosed) {
+    const auto slow = connectedTo(loopbackAddress(), server->consoleSessionPort());
+    const timeval patience{20, 0};
+    ::setsockopt(slow.get(), SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+    sendAll(slow.get(), "GET /axon HTTP/1.1\r\nHost: ");
+    std::array<char, 16> buffer{};
+    EXPECT_LE(::recv(slow.get(), buffer.data(), buffer.size(), 0), 0);
+    EXPECT_NE(errno, EAGAIN) << "closed within 20 s";
+}
+
+TEST_F(Console, AHugeRequestForAWebSocketIsClosed) {
+    const auto fd = connectedTo(loopbackAddress(), server->consoleSessionPort());
+    sendAll(fd.get(), "GET /axon HTTP/1.1\r\nX-Huge: " + std::string(8 << 20, 'x') + "\r\n\r\n");
+    EXPECT_EQ(received(fd.get()).find("101"), std::string::npos);
+    RawBrowser(sessions(), "", "");
+}
+
+TEST_F(ConsoleWithUsers, APasswordGivesACookieTheCookieATicketAndTheTicketASession) {
+    EXPECT_THAT(post("/ticket"), StartsWith("HTTP/1.1 401 "));
+    const auto login = post("/login", "user=watcher&password=secret2");
+    ASSERT_THAT(login, StartsWith("HTTP/1.1 200 "));
+    EXPECT_EQ(jsonOf(login), (Json{{"user", "watcher"}, {"role", "observer"}}));
+    const auto cookie = cookieOf(login);
+    const auto its = ticket(cookie);
+    ASSERT_TRUE(its.contains("password")) << its;
+    {
+        const RawBrowser client(sessions(), its["user"], its["password"]);
+        EXPECT_EQ(client.facts.me.role, Axon::CommUtil::Role::Observer);
+        EXPECT_THAT(client.facts.me.name, StartsWith("watcher@"));
+    }
+    EXPECT_THAT(refusalOf([&] { RawBrowser(sessions(), its["user"], its["password"]); }),
+                HasSubstr("good once"));
+    EXPECT_THAT(post("/logout", {}, cookie), StartsWith("HTTP/1.1 200 "));
+    EXPECT_THAT(post("/ticket", {}, cookie), StartsWith("HTTP/1.1 401 "));
+}
+
+TEST_F(ConsoleWithUsers, APasswordOpensNoSession) {
+    EXPECT_THAT(refusalOf([&] { RawBrowser(sessions(), "boss", "secret1"); }), HasSubstr("ticket"));
+}
+
+TEST_F(ConsoleWithUsers, WrongPasswordsAreRefusedAndSlowedDown) {
+    for (int i = 0; i < 3; ++i)
+        EXPECT_THAT(post("/login", "user=boss&password=wrong"), StartsWith("HTTP/1.1 403 "));
+    const auto refused = post("/login", "user=boss&password=secret1");
+    EXPECT_THAT(refused, StartsWith("HTTP/1.1 403 "));
+    EXPECT_THAT(refused, HasSubstr("try again in 1 s"));
+    EXPECT_THAT(post("/login", "user=left&password=secret3"), StartsWith("HTTP/1.1 403 "))
+        << "an Entity Manager";
+    EXPECT_THAT(post("/login", "user=watcher&password=secret2"), StartsWith("HTTP/1.1 200 "))
+        << "others do not wait";
+}
+
+TEST(ConsoleStart, WhereItsPortIsTakenTheServerStartsUnlessItWasAskedFor) {
+    auto settings = onLoopback();
+    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    const server::Server first(settings);
+    const auto address = first.consoleAddress();
+    settings.console.endpoint = address.substr(7, address.size() - 8);
+    EXPECT_THROW(server::Server{settings}, std::runtime_error);
+    settings.console.required = false;
+    const server::Server second(settings);
+    EXPECT_THAT(second.readyLine(), Not(HasSubstr("console=")));
+    EXPECT_EQ(second.consoleSessionPort(), 0);
+}
+
+TEST(ConsoleStart, RefusesToMixTlsAndNone) {
+    auto settings = onLoopback();
+    settings.console.endpoint = loopbackAddress() + ":0";
+    settings.console.session_endpoint = "ssl://" + loopbackAddress() + ":0";
+    EXPECT_THROW(server::Server{settings}, std::runtime_error);
+}
+
+TEST(ConsoleStart, RefusesAProxyWithoutUsers) {
+    auto settings = onLoopback();
+    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    settings.console.proxies = {"https://lab.example"};
+    try {
+        const server::Server server(settings);
+        FAIL() << "expected a misconfiguration";
+    } catch (const std::runtime_error& error) {
+        EXPECT_THAT(error.what(), HasSubstr("no users"));
+    }
+}
+
+TEST(ConsoleStart, RefusesANameThatIsNone) {
+    auto settings = onLoopback();
+    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    settings.console.names = {"http://lab.example"};
+    EXPECT_THROW(server::Server{settings}, std::runtime_error);
+}
+
+TEST(ConsoleOverTls, ABrowserWithoutACertificateOpensASession) {
+    const CertificateFolder folder;
+    const auto issued = [&](certificates::Kind kind, const std::string& name) {
+        const auto properties = Ice::createProperties();
+        properties->load(folder.issue(kind, {name}).string());
+        return properties->getPropertiesForPrefix("IceSSL");
+    };
+    auto settings = onLoopback();
+    settings.ice_properties = issued(certificates::Kind::Server, loopbackAddress());
+    settings.console.endpoint = settings.console.session_endpoint = "ssl://" + loopbackAddress() + ":0";
+    const server::Server server(settings);
+    EXPECT_THAT(server.consoleAddress(), StartsWith("https://"));
+    // It knows the CA, and has nothing to show; the files are there because the plug-in is loaded for them.
+    auto properties = issued(certificates::Kind::Client, "nobody");
+    const RawBrowser client(
+        "wss -h " + loopbackAddress() + " -p " + std::to_string(server.consoleSessionPort()) + " -r /axon",
+        "", "", properties);
+    EXPECT_EQ(client.facts.signalEndpoint, "");
+}
+
+}  // namespace
+}  // namespace axon::test
