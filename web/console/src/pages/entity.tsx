@@ -49,7 +49,7 @@ function Waits({ entity, wait }: { readonly entity: Entity; readonly wait: Pendi
     return (
         <div class="hold" role="status">
             <p>
-                <strong>{wait.how === "take" ? "Checking out …" : wait.how === "ask" && wait.place <= 1 ? `Asking ${holder} …` : wait.place > 0 ? `You are number ${wait.place} in line.` : "Waiting …"}</strong>
+                <strong>{wait.how === "take" ? "Checking out …" : wait.asking ? `Asking ${holder} …` : wait.place > 0 ? `You are number ${wait.place} in line.` : "Waiting …"}</strong>
             </p>
             {wait.message !== "" && <p class="quiet">{sentence(wait.message)}</p>}
             <button type="button" onClick={() => wait.abort.abort()}>

@@ -209,6 +209,8 @@ export function abandon(): void {
 /** A check-out that waits for an answer. */
 export interface Pending {
     readonly how: "take" | "wait" | "ask";
+    /** The holder has been asked and has not answered. */
+    readonly asking: boolean;
     readonly place: number;
     readonly message: string;
     readonly abort: AbortController;
@@ -223,14 +225,17 @@ export async function checkOut(client: Client, entity: Entity, how: Pending["how
         else all.set(entity.id, one);
         pending.value = all;
     };
-    put({ how: how === "force" ? "take" : how, place: 0, message: "", abort });
+    const kind = how === "force" ? "take" : how;
+    // The first news of a question is that it was asked, the next one its answer.
+    let news = 0;
+    put({ how: kind, asking: how === "ask", place: 0, message: "", abort });
     const options: CheckOutOptions = {
         signal: abort.signal,
         reason,
         ask: how === "ask",
         force: how === "force",
         ...(how === "wait" || how === "ask" ? { waitMs: 3_600_000 } : {}),
-        onWaiting: ({ place, message }) => put({ how: how === "force" ? "take" : how, place, message, abort }),
+        onWaiting: ({ place, message }) => put({ how: kind, asking: how === "ask" && ++news === 1, place, message, abort }),
     };
     try {
         const hold = adopt(await client.checkOut(entity.id, options));
