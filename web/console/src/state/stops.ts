@@ -77,7 +77,8 @@ export async function stop(ids: readonly string[] | "all", what: string): Promis
     order.value = { number, at: Date.now(), what, receipts: [], done: false, trouble: "" };
     note("stop", undefined, `this page stops ${what}`);
     const its = client.value;
-    if (its === undefined || !its.connected) update({ trouble: "There is no connection to the server, so this stop may reach nobody. Use the emergency stop of the robot itself." });
+    const cut = its?.connected !== true ? "There is no connection to the server, so this stop may reach nobody. Use the emergency stop of the robot itself." : "";
+    update({ trouble: cut });
     if (its === undefined) return update({ done: true });
     try {
         const receipts = await its.stop(ids === "all" ? "all" : [...ids], { deadlineMs: CONFIRM_MS, standstillMs: STANDSTILL_MS, onProgress: heard });
@@ -88,7 +89,7 @@ export async function stop(ids: readonly string[] | "all", what: string): Promis
     } catch (error) {
         const why = asRefusal(error);
         note("refusal", undefined, `the stop of ${what} was not carried out: ${why.message}`, why);
-        update({ done: true, trouble: `${why.message} If a robot moves, use its own emergency stop.` });
+        update({ done: true, trouble: cut !== "" ? cut : `${why.message} If a robot moves, use its own emergency stop.` });
     }
 }
 export function press(which: Scope = scope.peek()): void {

@@ -154,7 +154,7 @@ test("TheServerIsStartedAgain", async () => {
     await page.locator("[data-task=SUCCEEDED]").waitFor();
     await page.getByRole("button", { name: "Release it" }).click();
     await goTo(page, "#/activity");
-    await page.getByText("the connection to the server is back").waitFor();
+    await page.getByText("the connection to the server is back", { exact: true }).waitFor();
     await page.context().close();
 });
 
