@@ -153,11 +153,11 @@ interface RoleProps {
 function Role({ outlook, choice, choose }: RoleProps): preact.JSX.Element {
     const mine = choice !== "" && holds.value.has(choice);
     const name = (id: string): string => entities.value.get(id)?.entity.name ?? id;
+    // Those that offer something else entirely are no choice.
     const options: (readonly [string, string])[] = [["", "choose …"]];
     const ids = new Set<string>();
     for (const { entity } of entities.value.values()) {
         const unfit = outlook.unfit.find((one) => one.entity === entity.id);
-        // What offers something else entirely is no choice.
         if (unfit !== undefined && unfit.distance >= 7) continue;
         ids.add(entity.id);
         options.push([entity.id, `${name(entity.id)}${unfit === undefined ? "" : `: ${unfit.why.message}`}`]);
@@ -173,7 +173,12 @@ function Role({ outlook, choice, choose }: RoleProps): preact.JSX.Element {
                     {name(choice)} {sentence(why.message)} {remedyOf(why)}
                 </span>
             )}
-            {options.length === 1 && <span class="quiet">No robot here offers that. {outlook.unfit[0] !== undefined && `${outlook.unfit[0].name} ${sentence(outlook.unfit[0].why.message)}`}</span>}
+            {choice === "" &&
+                outlook.unfit.slice(0, 3).map((one) => (
+                    <span key={one.entity} class="quiet">
+                        {one.name} {one.why.message}.
+                    </span>
+                ))}
         </div>
     );
 }
@@ -206,7 +211,7 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
     const open = chosen.filter(({ id }) => id === "" || !holds.value.has(id));
     const unbound = chosen.filter(({ id }) => id === "").length;
     const twice = new Set(chosen.map(({ id }) => id)).size < chosen.length && unbound === 0;
-    const barrier = unbound > 0 ? `${unbound} of ${chosen.length} roles have no robot.` : twice ? "Every role needs a robot of its own." : open.length > 0 ? "Check out all of them first." : "";
+    const barrier = unbound > 0 ? `${unbound === 1 ? "One role has" : `${unbound} roles have`} no robot.` : twice ? "Every role needs a robot of its own." : open.length > 0 ? "Check out all of them first." : "";
     const take = async (): Promise<void> => {
         setBusy(true);
         for (const { id } of open) {

@@ -25,7 +25,7 @@ function Held({ hold }: { readonly hold: Hold }): preact.JSX.Element {
                 <strong>{hold.orphaned.value ? "The connection to it is lost." : `${entity.name} is yours`}</strong> {seen !== undefined && !hold.orphaned.value && <>for <Age at={seen.heldSince} /></>}
                 {hold.orphaned.value && " It stands still, and stays yours for a few seconds."}
             </p>
-            <p class="quiet">If this tab closes or loses the server, the robot is stopped at once. It stays yours for a few seconds, so that the page can be loaded again; then it is free. While it moves, keep this tab in sight: two seconds out of sight stop it.</p>
+            <p class="quiet">If this tab closes or loses the server, the robot is stopped at once, unless its task is allowed to go on without you. It stays yours for a few seconds, so that the page can be loaded again; then it is free. While it moves, keep this tab in sight: two seconds out of sight stop it.</p>
             <div class="row">
                 <button type="button" onClick={() => void hold.release()}>
                     Release it

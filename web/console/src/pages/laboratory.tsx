@@ -73,7 +73,7 @@ const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, 
             </div>
             <p class="quiet kind">{plainKind(entity)}</p>
             <StateBadge entity={entity} />
-            <p class="why">{entity.latched ? "Stopped: it does nothing until somebody rearms it." : entity.reason !== "" ? entity.reason : long}</p>
+            <p class="why">{entity.latched ? "Stopped: it does nothing until somebody rearms it." : entity.reason !== "" ? entity.reason : entity.descr !== "" ? entity.descr : long}</p>
             <p class="who">
                 {mine ? <strong>Yours</strong> : entity.holder === undefined ? "Nobody has it" : <strong>{entity.holder.name}</strong>}
                 {entity.holder !== undefined && (

@@ -79,7 +79,10 @@ function draw(canvas: HTMLCanvasElement, paint: (pen: CanvasRenderingContext2D, 
 
 function paintScan(scan: Scan, pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string): void {
     const angle = (i: number): number => scan.angles[i] ?? scan.startAngle + i * scan.step;
-    const limit = scan.maxRange > 0 ? scan.maxRange : Math.max(...scan.ranges.filter(Number.isFinite), 1);
+    // As far as something was seen, in whole steps so that the picture does not tremble.
+    const reach = scan.maxRange > 0 ? scan.maxRange : Infinity;
+    const seen = scan.ranges.reduce((most, range) => (range > most && range < reach ? range : most), 0);
+    const limit = [1, 2, 4, 8, 16, 32, 64].find((one) => one >= seen * 1.05) ?? Math.max(seen, 1);
     // The robot looks up. A half circle needs only the upper half.
     const behind = scan.ranges.some((_, i) => Math.cos(angle(i)) < -0.2);
     const scale = Math.min(wide / 2 - 6, behind ? high / 2 - 6 : high - 22) / limit;
