@@ -79,14 +79,16 @@ if(AXON_ICE)
   list(APPEND packages axon axon-server axon-entity-manager)
   axon_install_programs(axon axon)
   axon_install_programs(axon-server axon-server)
+  if(AXON_WEB)
+    install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/console" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT axon-server)
+    add_dependencies(installed_programs console)
+  endif()
   axon_install_programs(axon-entity-manager axon-entity-manager)
   set(config "${PROJECT_SOURCE_DIR}/deploy/config")
   set(config_to "${CMAKE_INSTALL_DATADIR}/axon/config")
   install(FILES "${config}/client.cfg" DESTINATION "${config_to}" COMPONENT axon)
   install(FILES "${config}/server.cfg" "${config}/clientrouter.cfg" DESTINATION "${config_to}" COMPONENT axon-server)
   install(FILES "${PROJECT_SOURCE_DIR}/api/schema/samples/valid/figure_a_1.xml" DESTINATION "${config_to}/globalservices" COMPONENT axon-server)
-  # The web console, if it has been built: npm run build in web/console.
-  install(DIRECTORY "${PROJECT_SOURCE_DIR}/web/console/dist/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/console" COMPONENT axon-server OPTIONAL)
   install(FILES "${config}/entitymanager.cfg" DESTINATION "${config_to}" COMPONENT axon-entity-manager)
   add_dependencies(installed_programs axon-manual) # src/cli installs manual pages and completion
 

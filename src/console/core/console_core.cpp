@@ -73,8 +73,9 @@ Answer notBuilt(const std::string& folder) {
         "<p>Expected the file <code>index.html</code> of the built console in <code>" +
             escaped(folder) +
             "</code>.</p>\n"
-            "<p>To build it from the sources, run <code>npm ci</code> and <code>npm run build</code> in the "
-            "folder <code>web/console</code>. "
+            "<p>To build it from the sources, run <code>cmake --build --preset dev --target console</code>, "
+            "which "
+            "needs node and npm. "
             "If the console is in another folder, name it with <code>axon-server --console-files DIR</code> "
             "or <code>Console.Files</code>. Then load this page again.</p>\n"
             "<p>Robots can be watched and commanded without it: <code>axon ls</code>, "

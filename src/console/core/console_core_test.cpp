@@ -283,7 +283,7 @@ TEST_F(ConsoleCoreTest, AConsoleThatIsNotBuiltSaysHowToBuildIt) {
     files.all.clear();
     const auto its = answer(request("GET", "/"));
     EXPECT_EQ(its.status, 503);
-    EXPECT_THAT(*its.body, HasSubstr("npm run build"));
+    EXPECT_THAT(*its.body, HasSubstr("--target console"));
     EXPECT_THAT(*its.body, HasSubstr("/share/&lt;console&gt;"));
     EXPECT_EQ(answer(request("GET", "/other.js")).status, 404);
 }

@@ -1,0 +1,203 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+import { memo } from "preact/compat";
+import { computed, signal } from "@preact/signals";
+import type { Entity } from "@axon/client";
+import { LabMap } from "../parts/map";
+import { Age, Empty, Select, StateBadge } from "../parts/small";
+import { type Seen, sorted, unready } from "../state/entities";
+import { holds } from "../state/holds";
+import { linkTo } from "../state/route";
+import { ticked } from "../state/stops";
+import { formatCount, formatMs } from "../words/format";
+import { canMove, plainKind, plainState } from "../words/words";
+
+type Wanted = "any" | "free" | "mine" | "held" | "working" | "stopped" | "trouble";
+const wanted = signal<Wanted>("any");
+const kind = signal("any");
+const words = signal("");
+const view = signal<"cards" | "map">("cards");
+const most = signal(120);
+
+function fits(entity: Entity, what: Wanted): boolean {
+    switch (what) {
+        case "free":
+            return entity.state === "IDLE";
+        case "mine":
+            return holds.value.has(entity.id);
+        case "held":
+            return entity.holder !== undefined;
+        case "working":
+            return canMove(entity);
+        case "stopped":
+            return entity.latched;
+        case "trouble":
+            return entity.state === "ERR" || entity.state === "UNAV" || entity.orphaned;
+        default:
+            return true;
+    }
+}
+const kinds = computed(() => [...new Set(sorted.value.map(({ entity }) => plainKind(entity)))].sort());
+const shown = computed(() => {
+    const search = words.value.trim().toLowerCase().split(/\s+/);
+    return sorted.value.filter(({ entity }) => {
+        if (kind.value !== "any" && plainKind(entity) !== kind.value) return false;
+        if (!fits(entity, wanted.value)) return false;
+        const text = `${entity.name} ${entity.descr} ${plainKind(entity)} ${entity.state} ${plainState(entity).short} ${entity.holder?.name ?? ""} ${entity.id}`.toLowerCase();
+        return search.every((word) => text.includes(word));
+    });
+});
+
+interface CardProps {
+    readonly seen: Seen;
+    readonly mine: boolean;
+    readonly selected: boolean;
+}
+const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, mine, selected }: CardProps) => {
+    const { long, tone } = plainState(entity);
+    const tick = (on: boolean): void => {
+        const all = new Set(ticked.value);
+        if (on) all.add(entity.id);
+        else all.delete(entity.id);
+        ticked.value = all;
+    };
+    return (
+        <li class={`card entity ${tone} ${fresh ? "" : "stale"} ${mine ? "mine" : ""}`} data-entity={entity.name}>
+            <div class="head">
+                <h3>
+                    <a href={linkTo("entity", entity.id)}>{entity.name}</a>
+                </h3>
+                <label class="tick" title="Selects it for the stop button">
+                    <input type="checkbox" checked={selected} onChange={(event) => tick(event.currentTarget.checked)} />
+                    <span class="unseen">Select {entity.name} for the stop button</span>
+                </label>
+            </div>
+            <p class="quiet kind">{plainKind(entity)}</p>
+            <StateBadge entity={entity} />
+            <p class="why">{entity.latched ? "Stopped: it does nothing until somebody rearms it." : entity.reason !== "" ? entity.reason : entity.descr !== "" ? entity.descr : long}</p>
+            <p class="who">
+                {mine ? <strong>Yours</strong> : entity.holder === undefined ? "Nobody has it" : <strong>{entity.holder.name}</strong>}
+                {entity.holder !== undefined && (
+                    <>
+                        {" "}
+                        {heldFromBegin ? "for" : "for more than"} <Age at={heldSince} />
+                    </>
+                )}
+                {entity.orphaned && ", connection lost"}
+                {entity.waiting > 0 && `, ${formatCount(entity.waiting)} in line`}
+            </p>
+            <p class="foot quiet">
+                {fresh ? (
+                    entity.stopLatencyMs === undefined ? (
+                        "stop not measured yet"
+                    ) : (
+                        <>stops in {formatMs(entity.stopLatencyMs)}</>
+                    )
+                ) : (
+                    <>
+                        as it was <Age at={seenAt} /> ago
+                    </>
+                )}
+            </p>
+        </li>
+    );
+});
+
+function Unready(): preact.JSX.Element | null {
+    if (unready.value.length === 0) return null;
+    return (
+        <details class="unready" open={sorted.value.length === 0}>
+            <summary>Not ready yet: {unready.value.length}</summary>
+            <ul class="rows">
+                {unready.value.map((entity) => (
+                    <li key={entity.id}>
+                        <span>
+                            <strong>{entity.name}</strong> <StateBadge entity={entity} /> {entity.reason}
+                        </span>
+                    </li>
+                ))}
+            </ul>
+        </details>
+    );
+}
+
+export function LaboratoryPage(): preact.JSX.Element {
+    const all = sorted.value.length;
+    const list = shown.value;
+    return (
+        <>
+            <div class="title">
+                <h1>
+                    Laboratory <span class="count">{formatCount(all)}</span>
+                </h1>
+                <div class="filters" role="search">
+                    <label class="unseen" for="words">
+                        Search
+                    </label>
+                    <input id="words" type="search" placeholder="Search: name, kind, person …" value={words.value} onInput={(event) => (words.value = event.currentTarget.value)} />
+                    <Select
+                        label="State"
+                        hideLabel
+                        value={wanted.value}
+                        onChange={(value) => (wanted.value = value)}
+                        options={[
+                            ["any", "in any state"],
+                            ["free", "free"],
+                            ["mine", "mine"],
+                            ["held", "in use"],
+                            ["working", "working"],
+                            ["stopped", "stopped"],
+                            ["trouble", "in trouble"],
+                        ]}
+                    />
+                    <Select label="Kind" hideLabel value={kind.value} onChange={(value) => (kind.value = value)} options={[["any", "of any kind"], ...kinds.value.map((one) => [one, one] as const)]} />
+                    <div class="switch" role="group" aria-label="View">
+                        <button type="button" aria-pressed={view.value === "cards"} onClick={() => (view.value = "cards")}>
+                            Cards
+                        </button>
+                        <button type="button" aria-pressed={view.value === "map"} onClick={() => (view.value = "map")}>
+                            Map
+                        </button>
+                    </div>
+                </div>
+            </div>
+            {all === 0 && (
+                <Empty>
+                    <strong>No robot is connected to the server yet.</strong>
+                    <p>
+                        A robot appears here at once when its application and its Entity Manager run. To try it, start <code>hello-entity examples/01_hello_entity</code> and <code>axon-entity-manager --application Greeter</code>.
+                    </p>
+                </Empty>
+            )}
+            {all > 0 && list.length === 0 && (
+                <Empty>
+                    None of the {formatCount(all)} robots fits.{" "}
+                    <button
+                        type="button"
+                        onClick={() => {
+                            words.value = "";
+                            wanted.value = "any";
+                            kind.value = "any";
+                        }}
+                    >
+                        Show all
+                    </button>
+                </Empty>
+            )}
+            {view.value === "map" && list.length > 0 ? (
+                <LabMap seen={list} />
+            ) : (
+                <ul class="cards" aria-label="Entities">
+                    {list.slice(0, most.value).map((seen) => (
+                        <Card key={seen.entity.id} seen={seen} mine={holds.value.has(seen.entity.id)} selected={ticked.value.has(seen.entity.id)} />
+                    ))}
+                </ul>
+            )}
+            {view.value === "cards" && list.length > most.value && (
+                <button type="button" onClick={() => (most.value *= 3)}>
+                    Show more: {formatCount(list.length - most.value)} are not shown
+                </button>
+            )}
+            <Unready />
+        </>
+    );
+}

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The session of this page: log-in, connection, and who the person is.
+import { type Client, connect, type ConnectionReport, type Credentials, type Refusal, ticketFrom } from "@axon/client";
+import { signal } from "@preact/signals";
+import { follow } from "./entities";
+import { keepRunning } from "./guard";
+import { abandon, resumeHolds } from "./holds";
+import { asRefusal, note, say } from "./journal";
+
+const RETRY_MS = 1500;
+
+/** connecting: not yet, or no longer; login: somebody has to log in first. A session that comes back by itself stays open. */
+export type Phase = "connecting" | "login" | "open";
+export const phase = signal<Phase>("connecting");
+/** Why there is no session. */
+export const problem = signal("");
+export const client = signal<Client | undefined>(undefined);
+export const connection = signal<ConnectionReport | undefined>(undefined);
+/** The user who has logged in; empty where the server asks nobody. */
+export const user = signal("");
+/** By that others know this page, if the server has no users. */
+export const ownName = signal(localStorage.getItem("axon-name") ?? "");
+
+const at = (path: string): URL => new URL(path, location.href.replace(/#.*/, ""));
+const ticket = ticketFrom(at("ticket"));
+let unfollow: (() => void) | undefined;
+let generation = 0;
+
+async function credentials(): Promise<Credentials> {
+    try {
+        const its = await ticket();
+        user.value = its.user;
+        if (phase.value === "login" && client.value !== undefined) phase.value = "open";
+        return its;
+    } catch (error) {
+        // The server has forgotten who this is, as after a restart.
+        if (asRefusal(error).code === "PERMISSION_DENIED" && client.value !== undefined) askForLogin();
+        throw error;
+    }
+}
+function askForLogin(): void {
+    if (phase.value === "login") return;
+    phase.value = "login";
+    problem.value = client.value === undefined ? "" : "The server no longer knows who you are: it was restarted, or your log-in has run out. Log in again.";
+}
+
+function opened(its: Client): void {
+    client.value = its;
+    phase.value = "open";
+    problem.value = "";
+    let before: ConnectionReport | undefined;
+    unfollow = follow(its);
+    its.onConnection((report) => {
+        connection.value = report;
+        if (before?.kind !== report.kind && report.kind !== "reconnecting" && !(before?.kind === "reconnecting" && report.kind === "lost")) {
+            if (report.kind === "lost") note("connection", undefined, `the connection to the server was lost: ${report.reason}`);
+            if (report.kind === "connected") {
+                note("connection", undefined, before === undefined ? "connected to the server" : "the connection to the server is back");
+                if (before !== undefined) say("good", "The connection to the server is back.");
+            }
+        }
+        before = report;
+    });
+    its.onServerText(({ code, text }) => {
+        note(code === "OK" ? "message" : "refusal", { id: "", name: "server" }, text);
+        say(code === "OK" ? "wait" : "bad", text);
+    });
+    void resumeHolds(its);
+}
+
+/** Opens the session, and tries again until there is one or somebody has to log in. */
+export async function start(): Promise<void> {
+    const own = ++generation;
+    phase.value = "connecting";
+    while (own === generation) {
+        try {
+            if (ownName.value === "") rename(`guest ${String(Math.floor(1000 + Math.random() * 9000))}`, false);
+            const its = await connect({ credentials, displayName: `${ownName.value.replaceAll("@", " ")}@web`, keepRunning });
+            if (own === generation) return opened(its);
+            return await its.close();
+        } catch (error) {
+            const refusal: Refusal = asRefusal(error);
+            problem.value = refusal.message;
+            if (refusal.code === "PERMISSION_DENIED" && own === generation) return askForLogin();
+            await new Promise((wake) => setTimeout(wake, RETRY_MS));
+        }
+    }
+}
+
+/** Empty = it worked; otherwise what to tell the person. */
+export async function login(name: string, password: string): Promise<string> {
+    try {
+        const answer = await fetch(at("login"), { method: "POST", credentials: "same-origin", body: new URLSearchParams({ user: name, password }), signal: AbortSignal.timeout(10_000) });
+        if (!answer.ok) {
+            const body = (await answer.json().catch(() => ({}))) as Record<string, unknown>;
+            return typeof body["message"] === "string" ? body["message"] : `The server answers ${answer.status}.`;
+        }
+    } catch {
+        return "The server does not answer. Is it running?";
+    }
+    if (client.value === undefined) void start();
+    else phase.value = "open"; // the library logs in again by itself
+    return "";
+}
+
+async function end(): Promise<void> {
+    ++generation;
+    const its = client.value;
+    unfollow?.();
+    abandon();
+    client.value = undefined;
+    connection.value = undefined;
+    await its?.close();
+}
+export async function logout(): Promise<void> {
+    await end();
+    await fetch(at("logout"), { method: "POST", credentials: "same-origin" }).catch(() => undefined);
+    user.value = "";
+    askForLogin();
+    problem.value = "You are logged out. What you held is free again.";
+}
+/** What others see; it begins with the next session. */
+export function rename(name: string, again = true): void {
+    ownName.value = name.trim().slice(0, 40) || "guest";
+    localStorage.setItem("axon-name", ownName.value);
+    if (again) void end().then(start);
+}

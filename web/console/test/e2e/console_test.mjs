@@ -1,0 +1,294 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The console in real Chromium, with a real server, Entity Managers and robot applications.
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import { goTo, House, obstacles, openEntity, ROOT, runButton } from "./support.mjs";
+
+const PAGES = ["#/", "#/collaboration", "#/activity", "#/stop"];
+
+/** @type {House} */
+let house;
+let greeter;
+before(async () => {
+    house = await House.open();
+    greeter = house.startGreeter();
+    house.lab.startCounter("Axon.LeaseGrace=20\n");
+});
+after(async () => house?.end());
+
+test("ANewcomerFinishesATask", async () => {
+    const page = await house.person();
+    await page.locator("[data-entity=Greeter] .badge", { hasText: "free" }).waitFor();
+    await page.locator("[data-entity=Greeter] h3 a").click();
+    await runButton(page, "Greet").click({ force: true });
+    await page.getByText("Check out Greeter first.").waitFor();
+    await page.getByRole("button", { name: "Check out Greeter" }).click();
+    await page.getByText("Greeter is yours", { exact: true }).first().waitFor();
+    await runButton(page, "Greet").click({ force: true });
+    await page.getByText("Still missing: Name.").waitFor();
+    await page.getByLabel("Name").fill("client1");
+    await page.getByLabel("Times").fill("lots");
+    await page.getByText("Expected a whole number, 1 to 1,000.").waitFor();
+    await page.getByLabel("Times").fill("2");
+    await runButton(page, "Greet").click();
+    await page.locator("[data-task=SUCCEEDED]").waitFor();
+    assert.match(await page.locator("[data-task]").innerText(), /Hello, client1!/);
+    await page.getByRole("button", { name: "Release it" }).click();
+    await page.getByRole("button", { name: "Check out Greeter" }).waitFor();
+    await page.context().close();
+});
+
+test("TwoPeopleWantOneRobot", async () => {
+    const [first, second] = await Promise.all([house.person({ name: "client1" }), house.person({ name: "client2" })]);
+    await openEntity(first, "Greeter");
+    await first.getByRole("button", { name: "Check out Greeter" }).click();
+    await openEntity(second, "Greeter");
+    await second.getByRole("button", { name: "Ask client1@web for it …" }).click();
+    await second.getByLabel("Why you need it").fill("<i>please</i>");
+    await second.getByRole("button", { name: "Ask", exact: true }).click();
+    await first.getByText("client2@web asks for Greeter.").waitFor();
+    await first.getByText("<i>please</i>", { exact: true }).waitFor();
+    await first.getByRole("button", { name: "Keep it" }).click();
+    await second.getByText(/You are number 1 in line/).waitFor(); // the answer was no, so the second waits
+    await second.getByRole("button", { name: "Give up waiting" }).click();
+    await second.getByRole("button", { name: "Wait in line" }).click();
+    await second.getByText("You are number 1 in line.").waitFor();
+    await goTo(first, "#/");
+    await first.locator("[data-entity=Greeter]", { hasText: "1 in line" }).waitFor();
+    await openEntity(first, "Greeter");
+    await first.getByRole("button", { name: "Release it" }).click();
+    await second.getByText("Greeter is yours", { exact: true }).first().waitFor();
+    // A page that is loaded again has what it held.
+    await second.reload();
+    await second.getByText("You still have Greeter.").waitFor();
+    await openEntity(second, "Greeter");
+    await second.getByRole("button", { name: "Release it" }).click();
+    await Promise.all([first.context().close(), second.context().close()]);
+});
+
+test("EveryPageStopsAtTheSamePlace", async () => {
+    const page = await house.person();
+    await page.locator("[data-entity=Counter]").waitFor();
+    const places = new Set();
+    const stop = page.locator(".dock .stop");
+    await openEntity(page, "Counter");
+    const entity = new URL(page.url()).hash;
+    for (const where of [entity, ...PAGES]) {
+        await goTo(page, where);
+        const box = await stop.boundingBox();
+        places.add(`${box.x + box.width} ${Math.round(box.y + box.height)}`);
+        assert.equal(await stop.innerText(), where === entity ? "STOP Counter" : "STOP everything");
+        await stop.click();
+        await page.getByRole("region", { name: "Receipt of the stop" }).getByText(where === entity ? "Confirmed by it." : "Confirmed by all 2.").waitFor();
+        await page.locator(".receipt.good .stages", { hasText: "robot told" }).first().waitFor();
+        await page.getByRole("button", { name: "Close the receipt" }).click();
+    }
+    assert.equal(places.size, 1, [...places].join("; "));
+    await goTo(page, "#/");
+    await page.keyboard.press("Escape");
+    await page.keyboard.press("Escape");
+    await page.getByText("Confirmed by all 2.").waitFor();
+    await goTo(page, "#/stop");
+    await page.getByRole("button", { name: "Stop Counter", exact: true }).click();
+    await page.getByText("Stop of Counter").waitFor();
+    await page.getByRole("img", { name: /QR code of/ }).waitFor();
+    for (const name of ["Counter", "Greeter"]) {
+        await page.locator("main").getByRole("button", { name: `Rearm ${name}` }).click();
+        await page.getByText(`${name} is rearmed.`).waitFor();
+    }
+    await page.getByText("None is stopped.").waitFor();
+    await page.context().close();
+});
+
+test("AHiddenTabStopsItsRobotAfterAWarning", async () => {
+    const page = await house.person();
+    await openEntity(page, "Counter");
+    await page.getByRole("button", { name: "Check out Counter" }).click();
+    await page.locator(".fields").getByLabel("To").fill("5000");
+    await runButton(page, "Count").click();
+    await page.locator("[data-task=RUNNING]").waitFor();
+    await page.locator("[data-stream=count][data-kind=scalar] .plot canvas").waitFor();
+    await page.evaluate(() => {
+        Object.defineProperty(document, "visibilityState", { value: "hidden", configurable: true });
+        document.dispatchEvent(new Event("visibilitychange"));
+    });
+    await page.waitForFunction(() => document.title.includes("stops in"));
+    assert.equal(await page.locator("[data-task=RUNNING]").count(), 1);
+    await page.locator("[data-task=STOPPED]").waitFor({ timeout: 5000 });
+    await page.evaluate(() => {
+        delete document.visibilityState;
+        document.dispatchEvent(new Event("visibilitychange"));
+    });
+    await page.getByText(/Counter was stopped at .* because this tab was out of sight/).first().waitFor();
+    await page.locator(".banner").getByRole("button", { name: "Rearm Counter" }).click();
+    await page.getByText("Counter is rearmed.").waitFor();
+    await page.getByRole("button", { name: "Release it" }).click();
+    await page.getByRole("button", { name: "Check out Counter" }).waitFor();
+    await page.context().close();
+});
+
+test("TheServerIsStartedAgain", async () => {
+    const page = await house.person();
+    await openEntity(page, "Greeter");
+    await page.getByRole("button", { name: "Check out Greeter" }).click();
+    await page.getByText("Greeter is yours", { exact: true }).first().waitFor();
+    house.sessions = new URL((await page.evaluate(async () => (await fetch("ticket", { method: "POST" })).json())).endpoint.replace(/^ws -h (\S+) -p (\d+).*/, "http://$1:$2")).host;
+    const begin = performance.now();
+    await house.lab.server.end("SIGKILL");
+    await page.locator(".banner.bad", { hasText: "No connection to the server" }).waitFor();
+    assert.ok(performance.now() - begin < 1000, `it took ${performance.now() - begin} ms`);
+    await page.locator(".dock .stop").click();
+    await page.getByText(/this stop may reach nobody/).waitFor();
+    await goTo(page, "#/");
+    await page.locator("[data-entity=Greeter].stale", { hasText: "as it was" }).waitFor();
+    await house.startServer();
+    await page.locator("[data-connection=connected]").waitFor();
+    await page.locator("[data-entity=Greeter].mine:not(.stale)", { hasText: "Yours" }).waitFor({ timeout: 15_000 });
+    await page.locator("[data-entity=Counter]:not(.stale)").waitFor({ timeout: 15_000 });
+    await openEntity(page, "Greeter");
+    await page.locator(".banner.inline").getByRole("button", { name: "Rearm Greeter" }).click();
+    await page.locator(".banner.inline").waitFor({ state: "detached" });
+    await page.getByLabel("Name").fill("again");
+    await runButton(page, "Greet").click();
+    await page.locator("[data-task=SUCCEEDED]").waitFor();
+    await page.getByRole("button", { name: "Release it" }).click();
+    await goTo(page, "#/activity");
+    await page.getByText("the connection to the server is back", { exact: true }).waitFor();
+    await page.context().close();
+});
+
+const HOSTILE = '"><img src=x onerror="globalThis.hacked=1"><script>globalThis.hacked=2</script>{{7*7}}';
+const asXml = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
+test("TextsAreNeverMarkup", async () => {
+    // Two applications of one name are one too many, so the first one goes.
+    await Promise.all([greeter.app.end(), greeter.manager.end()]);
+    const programs = house.startGreeter((text) =>
+        text
+            .replace(/(<BasicProfile[^>]*?) descr="[^"]*"/, `$1 descr="${asXml(HOSTILE)}"`)
+            .replace('name="Greeter"', 'name="Evil&lt;b&gt;bold"')
+            .replaceAll(/descr="(Says hello to|Whom)[^"]*"/g, `descr="${asXml(HOSTILE)}"`)
+            .replace('units="s"', `units="&lt;img src=x onerror=alert(1)&gt;"`),
+    );
+    const page = await house.person({ name: HOSTILE.slice(0, 40) });
+    await page.locator("[data-entity='Evil<b>bold']").waitFor({ timeout: 15_000 });
+    await page.locator("[data-entity='Evil<b>bold'] h3 a").click();
+    await page.getByText("<img src=x").first().waitFor();
+    await page.getByRole("button", { name: "Check out Evil<b>bold" }).click();
+    await page.getByLabel("Name").fill(HOSTILE);
+    await runButton(page, "Greet").click();
+    await page.locator("[data-task=SUCCEEDED]").waitFor();
+    assert.match(await page.locator("[data-task]").innerText(), /Hello, "><img src=x/);
+    await page.locator("summary", { hasText: "Messages" }).click();
+    await page.getByLabel("Message to the robot application").fill(HOSTILE);
+    await page.getByRole("button", { name: "Send" }).click();
+    for (const where of PAGES) {
+        await goTo(page, where);
+        for (const field of await page.locator("input[type=search]").all()) await field.fill(HOSTILE);
+    }
+    for (const hash of [`#/entity/${encodeURIComponent(HOSTILE)}`, "#/%E0%A4%A", `#/${HOSTILE}`]) {
+        await goTo(page, hash);
+        await page.locator(".dock .stop").waitFor();
+    }
+    assert.equal(await page.evaluate(() => globalThis.hacked), undefined);
+    assert.equal(await page.locator("img[src=x], script:not([src])").count(), 0);
+    await page.context().close();
+    await Promise.all([programs.app.end(), programs.manager.end()]);
+});
+
+test("PagesFitAPhoneAndPeopleWhoSeeDifferently", async () => {
+    for (const [width, scheme] of [
+        [360, "light"],
+        [1280, "dark"],
+    ]) {
+        const page = await house.person({ width, height: 800, scheme });
+        await openEntity(page, "Counter");
+        const entity = new URL(page.url()).hash;
+        await page.locator("[data-service=Count]").waitFor();
+        for (const where of [...PAGES, entity]) {
+            await goTo(page, where);
+            await page.waitForTimeout(150);
+            const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+            assert.ok(over <= 0, `${where} is ${over} px too wide for ${width} px`);
+            assert.deepEqual(await obstacles(page), [], `${where}, ${width} px, ${scheme}`);
+        }
+        await page.context().close();
+    }
+});
+
+test("AFileIsUploadedAndSeveralRobotsWorkTogether", async () => {
+    const five = join(ROOT, "examples/05_collaboration");
+    const own = await House.open({ globalServices: join(five, "globalservices") });
+    try {
+        for (const [name, application] of [
+            ["arm", "Arm"],
+            ["planner", "Planner"],
+            ["shuttle", "Shuttle"],
+        ])
+            own.lab.startEntity(`${name}-entity`, application, [five, own.lab.portsFile]);
+        own.lab.startEntity("plotter-entity", "Plotter", [join(ROOT, "examples/03_parameters"), own.lab.portsFile]);
+        const page = await own.person();
+        await openEntity(page, "Plotter");
+        await page.getByRole("button", { name: "Check out Plotter" }).click();
+        await page.getByText("Still missing: Size, the file Drawing.").waitFor();
+        await page.getByLabel("Drawing").setInputFiles(join(ROOT, "examples/03_parameters/house.txt"));
+        await page.getByText("house.txt: uploaded").waitFor();
+        await page.getByLabel("Size").fill("100");
+        await page.getByLabel("Color").selectOption("blue");
+        await page.getByLabel("Speed").fill("800");
+        await page.getByRole("button", { name: "Set Speed" }).click();
+        await runButton(page, "Draw").click();
+        await page.locator("[data-task=SUCCEEDED] .results", { hasText: "Length" }).waitFor({ timeout: 20_000 });
+        await goTo(page, "#/collaboration");
+        await page.getByRole("button", { name: "Plan it Go home" }).click();
+        await page.getByRole("button", { name: "Check out all 2" }).click();
+        await page.getByRole("button", { name: "Check, nothing moves" }).click();
+        await page.getByText("It can be run as it is. Nothing has moved.").waitFor();
+        await page.getByRole("button", { name: "Run Go home" }).click();
+        await page.locator("[data-run=SUCCEEDED] .timeline li.good").nth(1).waitFor({ timeout: 20_000 });
+        assert.deepEqual(own.complaints, []);
+    } finally {
+        await own.end();
+    }
+});
+
+test("UsersLogIn", async () => {
+    const own = await House.open({
+        users: [
+            ["olga", "observer", "correct horse"],
+            ["anna", "operator", "battery staple"],
+            ["robot", "entity", "of iron"],
+        ],
+    });
+    try {
+        own.startGreeter((text) => text, "Axon.User=robot\nAxon.Password=of iron\n");
+        const page = await own.person();
+        await page.getByLabel("User").fill("olga");
+        assert.deepEqual(await obstacles(page), []);
+        await page.getByLabel("Password").fill("wrong");
+        await page.getByRole("button", { name: "Log in" }).click();
+        await page.getByRole("alert").getByText(/wrong user or password/i).waitFor();
+        await page.getByLabel("Password").fill("correct horse");
+        await page.getByRole("button", { name: "Log in" }).click();
+        await page.getByText("(observer)").waitFor();
+        await openEntity(page, "Greeter");
+        await page.getByText("You may look at it and stop it.").waitFor();
+        await page.locator(".dock .stop").click();
+        await page.getByText("Confirmed by it.").waitFor();
+        await page.getByText("Whoever checks it out next, or an administrator, can rearm it.").first().waitFor();
+        await page.getByRole("button", { name: "Log out" }).click();
+        await page.getByText("You are logged out.").waitFor();
+        await page.getByLabel("User").fill("anna");
+        await page.getByLabel("Password").fill("battery staple");
+        await page.getByLabel("Password").press("Enter");
+        await page.getByText("(operator)").waitFor();
+        assert.deepEqual(own.complaints, []);
+    } finally {
+        await own.end();
+    }
+});
+
+test("NothingComesFromElsewhereAndNothingIsBlocked", () => {
+    assert.deepEqual(house.foreign, []);
+    assert.deepEqual(house.complaints, []);
+});
