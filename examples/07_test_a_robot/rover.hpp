@@ -13,7 +13,7 @@ class Rover {
         : interfacer_({.application = "Rover", .clock = std::move(clock)}) {
         interfacer_.uploadBasicProfile(folder / "basic.xml");
         interfacer_.uploadServiceProfile(folder / "services.xml");
-        interfacer_.onStop([this](const axon::StopSignal&) { motor_on = false; });
+        interfacer_.onStop([this](const axon::StopSignal&) { motor_on = false, ++stops; });
         interfacer_.onTask("Drive", [this](axon::Task& task) { drive(task); });
         interfacer_.start();
     }
@@ -23,6 +23,7 @@ class Rover {
     std::uint16_t port() const { return interfacer_.port(); }
 
     std::atomic<bool> motor_on{false};
+    std::atomic<int> stops{0};  ///< how often it was told to stop
 
   private:
     void drive(axon::Task& task) {

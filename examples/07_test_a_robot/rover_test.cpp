@@ -56,6 +56,7 @@ void stopsWhenItsEntityManagerHangs() {
     world.manager.silence();
     world.manager.expectLinkEnded();
     world.clock.advance(1s);
+    expect(world.rover.stops == 1, "the application was told to stop");
     expect(!world.rover.motor_on, "the motor is off");
 }
 // [end]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Takes the pictures of the documentation: python3 web/console/test/console_test.py --pictures docs/pictures
+// Takes pictures of the pages: python3 web/console/test/console_test.py --pictures FOLDER
 import { statSync } from "node:fs";
 import { join } from "node:path";
 import { goTo, House, openEntity, ROOT, runButton } from "../test/e2e/support.mjs";
