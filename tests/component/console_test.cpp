@@ -206,7 +206,7 @@ TEST_F(Console, IsInTheReadyLineAndSaysWhatIsMissing) {
     EXPECT_THAT(server->consoleAddress(), StartsWith("http://" + loopbackAddress() + ":"));
     const auto page = get("/");
     EXPECT_THAT(page, StartsWith("HTTP/1.1 503 "));
-    EXPECT_THAT(page, HasSubstr("npm run build"));
+    EXPECT_THAT(page, HasSubstr("--target console"));
     EXPECT_THAT(page, HasSubstr("connect-src 'self' ws://" + loopbackAddress() + ":" +
                                 std::to_string(server->consoleSessionPort())));
 }
