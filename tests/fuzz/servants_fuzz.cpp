@@ -121,16 +121,15 @@ const std::vector<std::string> kOperations{"sendStopSignal",      "sendStopSigna
                                            "sendBasicPrfl",       "sendStatus",      "sendToClient",
                                            "sendToClientDataSeq", "sendToPeer"};
 
-Ice::Communicator& communicator() {
-    static const Ice::CommunicatorHolder holder = [] {
-        Ice::InitializationData data;
-        data.properties = Ice::createProperties();
-        data.properties->setProperty("Ice.Warn.Dispatch", "0");
-        data.properties->setProperty("Ice.Warn.Connections", "0");
-        data.properties->setProperty("Ice.MessageSizeMax", "4096");
-        return Ice::CommunicatorHolder(data);
-    }();
-    return *holder.communicator();
+/// One for each input: when it is destroyed, Ice has told of every failed send, and nothing reaches into the
+/// next input, or into what the process destroys at its end.
+Ice::CommunicatorHolder communicator() {
+    Ice::InitializationData data;
+    data.properties = Ice::createProperties();
+    data.properties->setProperty("Ice.Warn.Dispatch", "0");
+    data.properties->setProperty("Ice.Warn.Connections", "0");
+    data.properties->setProperty("Ice.MessageSizeMax", "4096");
+    return Ice::CommunicatorHolder(data);
 }
 
 }  // namespace
@@ -169,7 +168,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     client_out->slow = entity_data->slow = size % 3 == 0;  // others have their share of what waits there
 
     // And a peer with a session of each kind.
-    auto adapter = communicator().createObjectAdapter("");
+    const auto ice = communicator();
+    const auto adapter = ice->createObjectAdapter("");
     adapter->activate();
     front_end_server::ClientLane client_data{
         servers.clients,
@@ -255,6 +255,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     servers.clients.sendStopSignal(client, stop, StopCause::Requested);
     require(entity_signal->last_stop.sequence == 4711 && entity_signal->last_stop.sender.id == me.id,
             "the honest client's stop arrives");
-    adapter->destroy();
+    ice->destroy();
     return 0;
 }
