@@ -126,8 +126,9 @@ struct HttpServer::Parts {
             ::listen(listener.get(), kBacklog) != 0)
             fail("cannot listen on " + settings.host + ":" + std::to_string(settings.port) + " (" +
                  std::generic_category().message(errno) +
-                 "): another axon-server may be running; fix: choose another port with --console-endpoint, "
-                 "or 0 for a free one, or leave the console out with --no-console");
+                 "): another program may have this port, perhaps an axon-server that is already running; fix: "
+                 "choose another port with --console-endpoint, or 0 for a free one, or leave the console out "
+                 "with --no-console");
         const auto end = endOf(listener.get(), ::getsockname);
         port = static_cast<std::uint16_t>(std::stoul(end.substr(end.rfind(':') + 1)));
     }
