@@ -65,14 +65,17 @@ class ProjectsTest(unittest.TestCase):
             os.killpg(running.pid, signal.SIGTERM)
             self.assertEqual(running.wait(20), 143)
         tests = self.does("ctest", "--test-dir", "build", "--output-on-failure", folder=project)
-        self.assertIn("100% tests passed, 0 tests failed out of 2", tests)
+        self.assertIn("100% tests passed, 0 tests failed out of 3", tests)
+        self.assertRegex(tests, r"robot +\.+ +Passed")
 
     def test_a_new_client_lists_the_robots(self):
         project = self.made("client", "tour")
         (project / "client.cfg").write_text(f"Axon.Server = {self.lab.at['client']}\n")
         self.does("cmake", "-S", ".", "-B", "build", folder=project)
         self.does("cmake", "--build", "build", folder=project)
-        self.does("ctest", "--test-dir", "build", "--output-on-failure", folder=project)
+        tests = self.does("ctest", "--test-dir", "build", "--output-on-failure", folder=project)
+        self.assertIn("100% tests passed, 0 tests failed out of 2", tests)
+        self.assertRegex(tests, r"robots +\.+ +Passed")
         self.assertIn("no robots at", self.does("build/tour-client", folder=project))
 
 
