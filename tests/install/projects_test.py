@@ -6,6 +6,7 @@
 """
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -47,6 +48,19 @@ class ProjectsTest(unittest.TestCase):
     def made(self, kind, name):
         self.does("axon", "init", kind, name, folder=self.lab.folder)
         return self.lab.folder / name
+
+    def test_links_of_installed_examples_lead_somewhere(self):
+        doc = self.prefix / "share" / "doc"
+        site = doc / "axon" / "html"  # of axon-doc, which is made of the pages of the source
+        pages = sorted((doc / "libaxon-entity-interfacer-dev" / "examples").glob("*/README.md"))
+        self.assertGreaterEqual(len(pages), 8)
+        for page in pages:
+            prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+            for link in re.findall(r"\]\((?!https?:)([^)#]+)", prose):
+                there = pathlib.Path(os.path.normpath(page.parent / link))
+                if there.is_relative_to(site):
+                    there = (ROOT / there.relative_to(site)).with_suffix(".md")
+                self.assertTrue(there.exists(), f"{page}: {link}")
 
     def test_a_new_robot_is_seen_and_moves_without_an_edit(self):
         project = self.made("robot", "Rover")
