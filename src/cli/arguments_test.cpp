@@ -220,7 +220,8 @@ TEST(CommandLine, SaysWhatIsWrongAndHowToFixIt) {
              {{"ls", "--timeout", "0"}, "fix: axon ls"},
              {{"completion", "tcsh"}, "bash"},
              {{"profile", "fix", "a.xml"}, "expected \"check\", found \"fix\"\nfix: axon profile"},
-             {{"profile", "chek", "a.xml"}, "expected \"check\", found \"chek\"\nfix: did you mean \"check\"?"},
+             {{"profile", "chek", "a.xml"},
+              "expected \"check\", found \"chek\"\nfix: did you mean \"check\"?"},
              {{"agent", "stp"}, "fix: did you mean \"stop\"?"},
              {{"checkout", "A", "--hand-over", "yeld"}, "fix: did you mean \"yield\"?"}}) {
         const auto parsed = parse(words);
@@ -338,15 +339,15 @@ TEST(Words, SaysOneFixTheOneOfTheMessageIfItHasOne) {
     const auto misuse = usageEvent("cannot read a file; fix: check its permissions", "axon run ENTITY");
     EXPECT_EQ(misuse["message"], "cannot read a file");
     EXPECT_EQ(misuse["fix"], "check its permissions");
-    const auto nobody =
-        noServerEvent({RefusalCode::Unavailable, "nothing listens there; fix: start axon-server", {}}, "lab:1");
+    const auto nobody = noServerEvent(
+        {RefusalCode::Unavailable, "nothing listens there; fix: start axon-server", {}}, "lab:1");
     EXPECT_EQ(nobody["message"], "nothing listens there");
     EXPECT_THAT(nobody["fix"].get<std::string>(), AllOf(HasSubstr("--server"), Not(HasSubstr("fix:"))));
-    const auto plain =
-        noServerEvent({RefusalCode::Unavailable, "no TLS on that port; fix: leave ssl:// out", {}}, "ssl://lab:1");
+    const auto plain = noServerEvent(
+        {RefusalCode::Unavailable, "no TLS on that port; fix: leave ssl:// out", {}}, "ssl://lab:1");
     EXPECT_EQ(plain["fix"], "leave ssl:// out");
-    EXPECT_FALSE(noServerEvent({RefusalCode::PermissionDenied, "the password is wrong", {}}, "lab:1")
-                     .contains("fix"));
+    EXPECT_FALSE(
+        noServerEvent({RefusalCode::PermissionDenied, "the password is wrong", {}}, "lab:1").contains("fix"));
 }
 
 TEST(Words, SurvivesTextThatIsNoUtf8) {

@@ -235,8 +235,8 @@ std::vector<std::string> withoutOptions(const CLI::App& app, const std::vector<s
     return words;
 }
 
-/// What is wrong with the words after a verb, with its remedy. `what` is CLI11's text, which for a word that is
-/// none of the choices is "NAME: WORD not in {CHOICES}".
+/// What is wrong with the words after a verb, with its remedy. `what` is CLI11's text, which for a word that
+/// is none of the choices is "NAME: WORD not in {CHOICES}".
 std::string wrongWord(const Verb& verb, const std::string& what) {
     const auto told = [&](const std::string& name, const auto& choices) -> std::optional<std::string> {
         const auto begin = name + ": ";
@@ -246,8 +246,7 @@ std::string wrongWord(const Verb& verb, const std::string& what) {
         const std::vector<std::string_view> names(choices.begin(), choices.end());
         const auto near = nearNames(word, names);
         return "expected " + alternatives({names.begin(), names.end()}) + ", found " + inQuotes(word) +
-               "\nfix: " +
-               (near.empty() ? synopsisOf(verb) : "did you mean " + alternatives(near) + "?");
+               "\nfix: " + (near.empty() ? synopsisOf(verb) : "did you mean " + alternatives(near) + "?");
     };
     for (const auto& operand : verb.operands)
         if (const auto text = told(operand.name, operand.choices)) return *text;

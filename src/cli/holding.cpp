@@ -223,10 +223,9 @@ std::string callOf(const Session& session, const Entity& entity) {
 bool tellLost(Session& session) {
     const auto all = session.station->lost();
     for (const auto& lost : all) {
-        session.events.emit(
-            {{"event", "notice"},
-             {"message",
-              "the check-out of " + callOf(session, lost.entity) + " was lost: " + lost.why.message}});
+        session.events.emit({{"event", "notice"},
+                             {"message", "the check-out of " + callOf(session, lost.entity) +
+                                             " was lost: " + lost.why.message}});
     }
     return !all.empty();
 }

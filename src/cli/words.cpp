@@ -351,8 +351,7 @@ Json noServerEvent(const Refusal& refusal, const std::string& server) {
     // Of a server that is not there, the command knows better how to name another one. Otherwise a fix of the
     // message is about what has happened, and a server that has answered says the remedy itself.
     const bool answered = refusal.code == RefusalCode::PermissionDenied ||
-                          refusal.code == RefusalCode::Malformed ||
-                          refusal.code == RefusalCode::NotSupported;
+                          refusal.code == RefusalCode::Malformed || refusal.code == RefusalCode::NotSupported;
     if (message.ends_with("nothing listens there") || (fix.empty() && !answered)) {
         fix = server.find("/router:") == std::string::npos
                   ? "start a server with axon-server, or give the address of another one with "

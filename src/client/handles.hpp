@@ -37,8 +37,8 @@ struct ReportShared {
 };
 
 /// For callbacks that are to be called with the final report: wait() does not return while the result exists.
-/// It ends with the callback, whether that runs or is discarded. Called with handle->mutex held; the last copy
-/// is destroyed without it.
+/// It ends with the callback, whether that runs or is discarded. Called with handle->mutex held; the last
+/// copy is destroyed without it.
 template <class Shared>
 std::shared_ptr<void> whileUntold(const std::shared_ptr<Shared>& handle) {
     ++handle->untold;

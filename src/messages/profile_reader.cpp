@@ -95,8 +95,9 @@ Reading<Message> readProfile(std::string_view xml, std::string_view file_name, P
 }  // namespace
 
 std::string Finding::toString() const {
-    return file + (line > 0 ? ":" + std::to_string(line) : std::string()) + ": " + (severity == Severity::Error ? "error" : "warning") +
-           ": " + element + ": " + expected + ": " + fix;
+    return file + (line > 0 ? ":" + std::to_string(line) : std::string()) + ": " +
+           (severity == Severity::Error ? "error" : "warning") + ": " + element + ": " + expected + ": " +
+           fix;
 }
 
 bool hasError(const std::vector<Finding>& findings) {

@@ -133,9 +133,9 @@ int watch(Session& session) {
     auto pictures = pictureFile(session, found.value());
     if (!pictures) return misused(session, pictures.refusal().message, {});
     const auto streams = session.args.value("streams", std::vector<std::string>{});
-    const auto watching = session.station->watch(
-        found->id, streams,
-        [mailbox, call](const Sample& sample) { mailbox->post(sampleEvent(call, sample), true); });
+    const auto watching = session.station->watch(found->id, streams, [mailbox, call](const Sample& sample) {
+        mailbox->post(sampleEvent(call, sample), true);
+    });
     if (!watching) return refuse(session, watching.refusal(), name);
     session.events.emit({{"event", "watching"}, {"entity", call}});
 

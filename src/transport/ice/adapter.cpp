@@ -37,7 +37,8 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
         const bool taken = error.error == EADDRINUSE;
         throw std::runtime_error(
             name + ": cannot listen on '" + endpoint + "' (" + std::generic_category().message(error.error) +
-            (taken ? "): another program has this port, perhaps an axon-server that is already running; fix: end "
+            (taken ? "): another program has this port, perhaps an axon-server that is already running; fix: "
+                     "end "
                      "that one (as root: systemctl stop axon-server, if it is the service), or choose other "
                      "ports, such as axon-server --base-port 0 for free ones"
                    : "); fix: name an address of this machine"));

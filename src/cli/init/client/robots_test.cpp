@@ -30,8 +30,7 @@ std::vector<axon::client::Service> moving() {
 struct World {
     axon::testing::Laboratory lab{{.passing = axon::testing::Passing::AtOnce}};
     axon::testing::ScriptedEntity rover = lab.add("Rover", moving());
-    std::unique_ptr<axon::client::Client> client =
-        axon::client::Client::connect(lab.clientOptions()).value();
+    std::unique_ptr<axon::client::Client> client = axon::client::Client::connect(lab.clientOptions()).value();
 };
 
 void runsAService() {

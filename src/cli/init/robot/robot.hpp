@@ -20,9 +20,8 @@ class Robot {
         interfacer_.uploadBasicProfile(folder / "basic.xml");
         interfacer_.uploadServiceProfile(folder / "services.xml");
         interfacer_.onStop([this](const axon::StopSignal& stop) { onStop(stop); });
-        interfacer_.onTask("Move", [this, position = interfacer_.stream("position")](axon::Task& task) mutable {
-            move(task, position);
-        });
+        interfacer_.onTask("Move", [this, position = interfacer_.stream("position")](
+                                       axon::Task& task) mutable { move(task, position); });
         interfacer_.start();
     }
     ~Robot() { interfacer_.shutdown(); }  // while the callbacks can use what they refer to

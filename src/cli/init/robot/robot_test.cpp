@@ -18,8 +18,7 @@ void expect(bool holds, const char* claim) {
 struct World {
     axon::testing::ManualClock clock;
     Robot robot{ROBOT_FOLDER, clock.shared()};
-    axon::testing::ScriptedManager manager{
-        {.application = "@NAME@", .port = robot.port(), .clock = clock}};
+    axon::testing::ScriptedManager manager{{.application = "@NAME@", .port = robot.port(), .clock = clock}};
     World() { manager.connect(); }
 };
 
