@@ -336,6 +336,12 @@ TEST(Words, SaysOneFixTheOneOfTheMessageIfItHasOne) {
     const auto own = errorEvent({RefusalCode::Latched, "It has been stopped; fix: look at it", {}}, "Cyton");
     EXPECT_EQ(own["message"], "It has been stopped");
     EXPECT_EQ(own["fix"], "look at it");
+    client::TaskReport report;
+    report.state = client::TaskState::Refused;
+    report.reason = {RefusalCode::Latched, "It has been stopped; fix: look at it", {}};
+    const auto task = taskEvent(report, "Cyton", client::Seconds(1));
+    EXPECT_EQ(task["reason"]["message"], "It has been stopped");
+    EXPECT_EQ(task["fix"], "look at it");
     const auto misuse = usageEvent("cannot read a file; fix: check its permissions", "axon run ENTITY");
     EXPECT_EQ(misuse["message"], "cannot read a file");
     EXPECT_EQ(misuse["fix"], "check its permissions");

@@ -136,6 +136,7 @@ Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elap
     if (!report.reason.ok()) {
         const auto error = errorEvent(report.reason, entity);
         if (error.contains("fix")) event["fix"] = error["fix"];
+        event["reason"]["message"] = error["message"];  // without the fix that it may have had
     }
     return event;
 }
