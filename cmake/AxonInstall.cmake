@@ -46,7 +46,18 @@ install(FILES "${CMAKE_CURRENT_LIST_DIR}/AxonTesting.cmake" DESTINATION "${cmake
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/api/schema" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT libaxon-entity-interfacer-dev
   FILES_MATCHING PATTERN "*.xsd" PATTERN samples EXCLUDE)
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/libaxon-entity-interfacer-dev/examples"
-  COMPONENT libaxon-entity-interfacer-dev PATTERN "examples/CMakeLists.txt" EXCLUDE)
+  COMPONENT libaxon-entity-interfacer-dev PATTERN "examples/CMakeLists.txt" EXCLUDE PATTERN README.md EXCLUDE)
+# Their pages: the links to the documentation lead into the package axon-doc.
+file(GLOB example_pages RELATIVE "${PROJECT_SOURCE_DIR}/examples" CONFIGURE_DEPENDS "${PROJECT_SOURCE_DIR}/examples/*/README.md")
+foreach(page IN LISTS example_pages)
+  set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS "${PROJECT_SOURCE_DIR}/examples/${page}")
+  file(READ "${PROJECT_SOURCE_DIR}/examples/${page}" text)
+  string(REGEX REPLACE "\\]\\(\\.\\./\\.\\./docs/([^)#]+)\\.md" "](../../../axon/html/docs/\\1.html" text "${text}")
+  file(WRITE "${PROJECT_BINARY_DIR}/example_pages/${page}"
+    "${text}\nThe links to other pages lead into the documentation of the package `axon-doc`; `axon docs` opens it from anywhere.\n")
+endforeach()
+install(DIRECTORY "${PROJECT_BINARY_DIR}/example_pages/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/libaxon-entity-interfacer-dev/examples"
+  COMPONENT libaxon-entity-interfacer-dev)
 
 if(AXON_ICE)
   # The client library is static (ADR 0034). What it consists of is installed with it, but is not for others to link.

@@ -4,8 +4,10 @@
 using Seconds = std::chrono::duration<double>;
 
 int main(int argc, char** argv) try {
-    if (argc > 1 && *argv[1] == '-')
-        return std::cout << "hello-entity [FOLDER_OF_PROFILES [PORTS_FILE]]\n", 0;
+    if (argc > 1 && *argv[1] == '-') {
+        std::cout << std::filesystem::path(argv[0]).filename().string() << " [FOLDER [PORTS_FILE]]\n";
+        return 0;
+    }
     const std::filesystem::path profiles = argc > 1 ? argv[1] : ".";
     axon::EntityInterfacer interfacer({.application = "Greeter", .ports_file = argc > 2 ? argv[2] : ""});
     interfacer.uploadBasicProfile(profiles / "basic.xml");

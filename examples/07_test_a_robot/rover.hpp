@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT
+// [rover]
 #pragma once
 #include <atomic>
 #include <axon/entity_interfacer.hpp>
 #include <filesystem>
 #include <memory>
 
-// [rover]
 /// The application of a rover that drives at 200 mm/s. `clock` is that of a test; none = real time.
 class Rover {
   public:

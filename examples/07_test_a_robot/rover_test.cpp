@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: MIT
+// [head]
 #include <axon/testing/scripted_manager.hpp>
 #include <iostream>
 
@@ -14,6 +15,7 @@ void expect(bool holds, const char* claim) {
     ++failures;
     std::cerr << "failed: " << claim << '\n';
 }
+// [end]
 
 // [begin]
 /// The application and the Entity Manager of the test, on a clock of the test.
@@ -73,9 +75,9 @@ void refusesADistanceThatIsTooFar() {
 }
 // [end]
 
+// [main]
 }  // namespace
 
-// [main]
 int main() try {
     drivesAsFarAsItIsTold();
     stopsWhenItIsTold();

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
+// [tour]
 #pragma once
 #include <axon/client.hpp>
 #include <string>
 #include <vector>
 
-// [tour]
 /// Drives the legs of a tour one after the other. A leg that fails is tried once more. Returns what the
 /// operator is told.
 inline std::string tour(axon::client::Client& lab, const std::vector<double>& legs_mm) {

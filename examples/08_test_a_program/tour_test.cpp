@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: MIT
+// [head]
 #include <axon/testing/laboratory.hpp>
 #include <future>
 #include <iostream>
@@ -19,6 +20,7 @@ void expect(bool holds, const std::string& claim) {
     ++failures;
     std::cerr << "failed: " << claim << '\n';
 }
+// [end]
 
 // [begin]
 /// A laboratory with a rover of which only the profiles exist.
@@ -78,6 +80,7 @@ void saysWhoHasTheRover() {
 }
 // [end]
 
+// [main]
 }  // namespace
 
 int main() try {
@@ -90,3 +93,4 @@ int main() try {
     std::cerr << "failed: " << failure.what() << '\n';
     return 1;
 }
+// [end]

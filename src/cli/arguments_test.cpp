@@ -15,7 +15,9 @@
 
 using namespace axon;
 using namespace axon::cli;
+using testing::AllOf;
 using testing::HasSubstr;
+using testing::Not;
 
 namespace {
 
@@ -217,7 +219,11 @@ TEST(CommandLine, SaysWhatIsWrongAndHowToFixIt) {
              {{"ls", "--server", "here"}, "HOST:PORT"},
              {{"ls", "--timeout", "0"}, "fix: axon ls"},
              {{"completion", "tcsh"}, "bash"},
-             {{"profile", "fix", "a.xml"}, "check"}}) {
+             {{"profile", "fix", "a.xml"}, "expected \"check\", found \"fix\"\nfix: axon profile"},
+             {{"profile", "chek", "a.xml"},
+              "expected \"check\", found \"chek\"\nfix: did you mean \"check\"?"},
+             {{"agent", "stp"}, "fix: did you mean \"stop\"?"},
+             {{"checkout", "A", "--hand-over", "yeld"}, "fix: did you mean \"yield\"?"}}) {
         const auto parsed = parse(words);
         EXPECT_FALSE(parsed.line) << words.front();
         EXPECT_EQ(parsed.exit, kUsage);
@@ -324,6 +330,30 @@ TEST(Words, NamesTheHolderAndTheFixOfARefusal) {
     EXPECT_THAT(event["fix"].get<std::string>(), HasSubstr("cl2@lab"));
     EXPECT_EQ(errorEvent({RefusalCode::Latched, "stopped", {}}, "Cyton Arm")["fix"],
               "rearm it when it is safe to move again: axon rearm 'Cyton Arm'");
+}
+
+TEST(Words, SaysOneFixTheOneOfTheMessageIfItHasOne) {
+    const auto own = errorEvent({RefusalCode::Latched, "It has been stopped; fix: look at it", {}}, "Cyton");
+    EXPECT_EQ(own["message"], "It has been stopped");
+    EXPECT_EQ(own["fix"], "look at it");
+    client::TaskReport report;
+    report.state = client::TaskState::Refused;
+    report.reason = {RefusalCode::Latched, "It has been stopped; fix: look at it", {}};
+    const auto task = taskEvent(report, "Cyton", client::Seconds(1));
+    EXPECT_EQ(task["reason"]["message"], "It has been stopped");
+    EXPECT_EQ(task["fix"], "look at it");
+    const auto misuse = usageEvent("cannot read a file; fix: check its permissions", "axon run ENTITY");
+    EXPECT_EQ(misuse["message"], "cannot read a file");
+    EXPECT_EQ(misuse["fix"], "check its permissions");
+    const auto nobody = noServerEvent(
+        {RefusalCode::Unavailable, "nothing listens there; fix: start axon-server", {}}, "lab:1");
+    EXPECT_EQ(nobody["message"], "nothing listens there");
+    EXPECT_THAT(nobody["fix"].get<std::string>(), AllOf(HasSubstr("--server"), Not(HasSubstr("fix:"))));
+    const auto plain = noServerEvent(
+        {RefusalCode::Unavailable, "no TLS on that port; fix: leave ssl:// out", {}}, "ssl://lab:1");
+    EXPECT_EQ(plain["fix"], "leave ssl:// out");
+    EXPECT_FALSE(
+        noServerEvent({RefusalCode::PermissionDenied, "the password is wrong", {}}, "lab:1").contains("fix"));
 }
 
 TEST(Words, SurvivesTextThatIsNoUtf8) {

@@ -138,6 +138,13 @@ TEST_F(Unused, WhatNobodyUsesIsWarnedOfReleasedAndItsUserLearnsWhy) {
     ASSERT_FALSE(found);
     EXPECT_EQ(found.refusal().code, RefusalCode::Expired);
     EXPECT_THAT(found.refusal().message, HasSubstr("released because nobody used it for 60 min"));
+    for (const auto* verb : {"release", "tasks"}) {
+        seen.events.clear();
+        EXPECT_EQ(findVerb(verb)->perform(next), kDone);
+        EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(),
+                    HasSubstr("the check-out of Cyton was lost: it was released because nobody used it"))
+            << verb;
+    }
 }
 
 TEST_F(Unused, WhatIsInUseIsNeverReleased) {

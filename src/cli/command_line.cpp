@@ -6,12 +6,14 @@
 #include <cstdlib>
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <sstream>
 
 #include "axon/client.hpp"
 #include "cli/common_options.hpp"
 #include "cli/password.hpp"
 #include "cli/synopsis.hpp"
+#include "cli/words.hpp"
 #include "common/release.hpp"
 #include "messages/text.hpp"
 
@@ -233,10 +235,30 @@ std::vector<std::string> withoutOptions(const CLI::App& app, const std::vector<s
     return words;
 }
 
+/// What is wrong with the words after a verb, with its remedy. `what` is CLI11's text, which for a word that
+/// is none of the choices is "NAME: WORD not in {CHOICES}".
+std::string wrongWord(const Verb& verb, const std::string& what) {
+    const auto told = [&](const std::string& name, const auto& choices) -> std::optional<std::string> {
+        const auto begin = name + ": ";
+        const auto end = what.find(" not in {");
+        if (choices.empty() || !what.starts_with(begin) || end == std::string::npos) return std::nullopt;
+        const auto word = what.substr(begin.size(), end - begin.size());
+        const std::vector<std::string_view> names(choices.begin(), choices.end());
+        const auto near = nearNames(word, names);
+        return "expected " + alternatives({names.begin(), names.end()}) + ", found " + inQuotes(word) +
+               "\nfix: " + (near.empty() ? synopsisOf(verb) : "did you mean " + alternatives(near) + "?");
+    };
+    for (const auto& operand : verb.operands)
+        if (const auto text = told(operand.name, operand.choices)) return *text;
+    for (const auto& option : verb.options)
+        if (const auto text = told(std::string("--") + option.name, option.choices)) return *text;
+    return what + "\nfix: " + synopsisOf(verb);
+}
+
 std::string mistake(const std::vector<std::string>& words, const std::string& what) {
     const auto first = words.begin();
     if (first == words.end()) return "axon: " + what + "\nfix: axon --help shows the verbs\n";
-    if (const auto* verb = verbIn(words)) return "axon: " + what + "\nfix: " + synopsisOf(*verb) + "\n";
+    if (const auto* verb = verbIn(words)) return "axon: " + wrongWord(*verb, what) + "\n";
     std::vector<std::string_view> names;
     if (const auto* group = findGroup(*first)) {
         const std::string before = std::string(group->name) + " ";
@@ -378,7 +400,8 @@ Parsed parseCommandLine(std::vector<std::string> words,
         }
     }
     if (!wrong_option.empty()) {
-        parsed.err = "axon: " + wrong_option + "\nfix: " + synopsisOf(*line.verb) + "\n";
+        const auto [message, fix] = parted(wrong_option);
+        parsed.err = "axon: " + message + "\nfix: " + (fix.empty() ? synopsisOf(*line.verb) : fix) + "\n";
         parsed.exit = kUsage;
         return parsed;
     }

@@ -297,6 +297,8 @@ class FakeStation : public Station {
     Result<std::shared_ptr<void>> watch(const std::string& id, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> sample) override {
         watched = streams;
+        if (!streams.empty() && std::find(streams.begin(), streams.end(), stream) == streams.end())
+            return std::shared_ptr<void>();
         for (const auto& one : samples) sample({id, stream, one.first, one.second, {}});
         return std::shared_ptr<void>();
     }

@@ -223,7 +223,7 @@ void PersonView::showGlobalServices(const Json& event) {
     const auto& services = event.at("services");
     if (services.empty()) {
         say("no global services at " + textOf(event, "server") +
-            ": put profiles into the folder of its --global-services");
+            ": put their profiles into its folder globalservices (axon-server --global-services)");
     } else {
         Rows rows;
         for (const auto& service : services) {

@@ -220,6 +220,16 @@ std::string callOf(const Session& session, const Entity& entity) {
     return callName(entity, session.station->entities());
 }
 
+bool tellLost(Session& session) {
+    const auto all = session.station->lost();
+    for (const auto& lost : all) {
+        session.events.emit({{"event", "notice"},
+                             {"message", "the check-out of " + callOf(session, lost.entity) +
+                                             " was lost: " + lost.why.message}});
+    }
+    return !all.empty();
+}
+
 std::optional<Refusal> whyLost(const Station& station, const std::string& id) {
     for (const auto& lost : station.lost()) {
         if (lost.entity.id == id) return lost.why;

@@ -70,6 +70,9 @@ Result<CheckOutOptions> checkOutOptions(const Json& args);
 /// What to call the entity so that nothing else can be meant; what "entity" is in events.
 std::string callOf(const Session& session, const Entity& entity);
 
+/// Tells of each check-out that was lost, and why; whether there is one.
+bool tellLost(Session& session);
+
 /// Why an entity that was held here is not any more.
 std::optional<Refusal> whyLost(const Station& station, const std::string& id);
 

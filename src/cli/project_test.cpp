@@ -75,7 +75,8 @@ TEST_F(Project, HasItsNameEverywhereAndNothingLeftToFillIn) {
         return std::string();
     };
     EXPECT_THAT(named("basic.xml"), HasSubstr("name=\"Rover_2\""));
-    EXPECT_THAT(named("main.cpp"), HasSubstr(".application = \"Rover_2\""));
+    EXPECT_THAT(named("robot.hpp"), HasSubstr(".application = \"Rover_2\""));
+    EXPECT_THAT(named("robot_test.cpp"), HasSubstr(".application = \"Rover_2\""));
     EXPECT_THAT(named("run"), HasSubstr("--application Rover_2 "));
     EXPECT_THAT(named("CMakeLists.txt"), HasSubstr("add_executable(rover_2-robot main.cpp)"));
 }

@@ -136,6 +136,7 @@ Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elap
     if (!report.reason.ok()) {
         const auto error = errorEvent(report.reason, entity);
         if (error.contains("fix")) event["fix"] = error["fix"];
+        event["reason"]["message"] = error["message"];  // without the fix that it may have had
     }
     return event;
 }
@@ -319,32 +320,50 @@ Json toJson(const HandOverRequest& request, const std::string& entity, const std
             {"answer", answer.empty() ? Json(nullptr) : Json(answer + " " + shellWord(entity))}};
 }
 
+std::pair<std::string, std::string> parted(const std::string& message) {
+    constexpr std::string_view kMark = "; fix: ";
+    const auto mark = message.find(kMark);
+    if (mark == std::string::npos) return {message, {}};
+    return {message.substr(0, mark), message.substr(mark + kMark.size())};
+}
+
 Json errorEvent(const Refusal& refusal, const std::string& entity) {
-    Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
+    auto [message, fix] = parted(refusal.message);
+    Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", std::move(message)}};
     if (!refusal.holder.empty()) json["holder"] = refusal.holder;
-    if (const auto fix = fixFor(refusal, entity); !fix.empty()) json["fix"] = fix;
+    if (fix.empty()) fix = fixFor(refusal, entity);
+    if (!fix.empty()) json["fix"] = std::move(fix);
     return json;
 }
 
 Json usageEvent(const std::string& message, const std::string& fix) {
-    Json json{{"event", "error"}, {"code", "USAGE"}, {"message", message}};
-    if (!fix.empty()) json["fix"] = fix;
+    auto [what, its_fix] = parted(message);
+    Json json{{"event", "error"}, {"code", "USAGE"}, {"message", std::move(what)}};
+    if (!its_fix.empty()) {
+        json["fix"] = std::move(its_fix);
+    } else if (!fix.empty()) {
+        json["fix"] = fix;
+    }
     return json;
 }
 
 Json noServerEvent(const Refusal& refusal, const std::string& server) {
-    Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
-    if (json["message"].get_ref<const std::string&>().empty()) json["message"] = "no server at " + server;
-    // A server that has answered says the remedy itself.
-    if (refusal.code != RefusalCode::PermissionDenied && refusal.code != RefusalCode::Malformed &&
-        refusal.code != RefusalCode::NotSupported) {
-        json["fix"] = server.find("/router:") == std::string::npos
-                          ? "start a server with axon-server, or give the address of another one with "
-                            "--server HOST:PORT (or AXON_SERVER)"
-                          : "check that the router and a server behind it are running at the address in "
-                            "--config (or AXON_CONFIG): "
-                            "axon-cluster status, or the logs of glacier2router and axon-server";
+    auto [message, fix] = parted(refusal.message);
+    // Of a server that is not there, the command knows better how to name another one. Otherwise a fix of the
+    // message is about what has happened, and a server that has answered says the remedy itself.
+    const bool answered = refusal.code == RefusalCode::PermissionDenied ||
+                          refusal.code == RefusalCode::Malformed || refusal.code == RefusalCode::NotSupported;
+    if (message.ends_with("nothing listens there") || (fix.empty() && !answered)) {
+        fix = server.find("/router:") == std::string::npos
+                  ? "start a server with axon-server, or give the address of another one with "
+                    "--server HOST:PORT (or AXON_SERVER)"
+                  : "check that the router and a server behind it are running at the address in "
+                    "--config (or AXON_CONFIG): "
+                    "axon-cluster status, or the logs of glacier2router and axon-server";
     }
+    if (message.empty()) message = "no server at " + server;
+    Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", std::move(message)}};
+    if (!fix.empty()) json["fix"] = std::move(fix);
     return json;
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "cli/session.hpp"
 
@@ -32,7 +33,10 @@ Json reasonOf(const Refusal& refusal);
 /// A "hand_over" event. `answer`: the command that answers it, up to the entity; empty = nobody can.
 Json toJson(const HandOverRequest& request, const std::string& entity, const std::string& answer);
 
+/// What was said before "; fix: ", and the remedy after it, if the message has one.
+std::pair<std::string, std::string> parted(const std::string& message);
 /// {"event": "error", "code", "message", "holder"?, "fix"?}. `entity` is how the user would name it again.
+/// The remedy is that of the message if it has one, and that of the code otherwise.
 Json errorEvent(const Refusal& refusal, const std::string& entity = {});
 /// A command line that makes no sense; exits with kUsage.
 Json usageEvent(const std::string& message, const std::string& fix = {});

@@ -110,7 +110,7 @@ auto awaitEnd(Shared& shared, std::optional<Seconds> time) {
         clock = session->clock();
     }
     std::unique_lock lock(shared.mutex);
-    const auto over = [&] { return isFinal(shared.report.state); };
+    const auto over = [&] { return shared.over(); };
     if (time) {
         waitUntil(shared.changed, lock, *clock, clock->now() + toDuration(*time), over);
     } else {
@@ -120,13 +120,15 @@ auto awaitEnd(Shared& shared, std::optional<Seconds> time) {
 }
 
 template <class Shared, class Callback>
-void listen(Shared& shared, Callback callback) {
-    const auto session = shared.session.lock();
+void listen(const std::shared_ptr<Shared>& shared, Callback callback) {
+    const auto session = shared->session.lock();
     if (!session) return;
+    std::shared_ptr<void> untold;
     // Under the handle's lock, so that no change comes between the first call and the next.
-    const std::lock_guard lock(shared.mutex);
-    session->news().post([callback, report = shared.report] { callback(report); }, false);
-    shared.callbacks.push_back(std::move(callback));
+    const std::lock_guard lock(shared->mutex);
+    if (isFinal(shared->report.state)) untold = whileUntold(shared);
+    session->news().post([callback, report = shared->report, untold] { callback(report); }, false);
+    shared->callbacks.push_back(std::move(callback));
 }
 
 void control(SessionCore& core, const Task::Shared& task, proto::TaskAction action, Done done) {
@@ -381,7 +383,7 @@ TaskReport Task::wait(std::optional<Seconds> time) const {
     return awaitEnd(*shared_, time);
 }
 void Task::onUpdate(std::function<void(const TaskReport&)> callback) const {
-    listen(*shared_, std::move(callback));
+    listen(shared_, std::move(callback));
 }
 Result<void> Task::pause() const {
     return askFor(proto::PAUSE, *shared_);
@@ -403,7 +405,7 @@ RunReport Run::wait(std::optional<Seconds> time) const {
     return awaitEnd(*shared_, time);
 }
 void Run::onUpdate(std::function<void(const RunReport&)> callback) const {
-    listen(*shared_, std::move(callback));
+    listen(shared_, std::move(callback));
 }
 Result<void> Run::pause() const {
     return askFor(proto::PAUSE, *shared_);

@@ -31,7 +31,23 @@ struct ReportShared {
     // Guarded by mutex:
     Report report;
     std::vector<std::function<void(const Report&)>> callbacks;
+    int untold = 0;  // calls of callbacks with the final report that have not returned
+
+    bool over() const { return isFinal(report.state) && untold == 0; }
 };
+
+/// For callbacks that are to be called with the final report: wait() does not return while the result exists.
+/// It ends with the callback, whether that runs or is discarded. Called with handle->mutex held; the last
+/// copy is destroyed without it.
+template <class Shared>
+std::shared_ptr<void> whileUntold(const std::shared_ptr<Shared>& handle) {
+    ++handle->untold;
+    return {nullptr, [handle](void*) {
+                const std::lock_guard lock(handle->mutex);
+                --handle->untold;
+                handle->changed.notify_all();
+            }};
+}
 
 struct Task::Shared : ReportShared<TaskReport> {
     using ReportShared::ReportShared;

@@ -72,15 +72,17 @@ void NewsDesk::tellReport(std::unordered_map<std::string, std::weak_ptr<Shared>>
     if (isFinal(report.state)) handles.erase(found);
     if (!handle) return;
     bool listened = false;
+    std::shared_ptr<void> untold;
     {
         const std::lock_guard lock(handle->mutex);
         handle->report = report;
         listened = !handle->callbacks.empty();
+        if (listened && isFinal(report.state)) untold = whileUntold(handle);
     }
     handle->changed.notify_all();
     if (!listened) return;
     tell(
-        [handle, report] {
+        [handle, report, untold = std::move(untold)] {
             std::vector<std::function<void(const Report&)>> callbacks;
             {
                 const std::lock_guard lock(handle->mutex);

@@ -3,13 +3,16 @@
 
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <future>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
 namespace axon::client::test {
 namespace {
 
+using namespace std::chrono_literals;
 using Noted = std::vector<std::string>;
 
 /// A program whose callback thread does not return from its first callback until it is told to.
@@ -90,6 +93,41 @@ TEST_F(NewsDeskTest, AReportIsThereAtOnceAndThenTold) {
     EXPECT_EQ(task->report.state, TaskState::Succeeded) << "nobody is told after the end";
     comeBack();
     EXPECT_EQ(called, (Noted{"RUNNING", "SUCCEEDED"}));
+}
+
+TEST_F(NewsDeskTest, AWaitEndsWhenTheCallbacksHaveBeenCalledWithTheEnd) {
+    const auto id = *Id128::fromBytes(std::string(16, 'a'));
+    const auto task = std::make_shared<Task::Shared>(id, std::weak_ptr<Client::Session>(),
+                                                     report(id.toString(), TaskState::Running));
+    task->callbacks.push_back([this](const TaskReport& told) { called.push_back(toString(told.state)); });
+    news.add(task);
+    news.onTask(report(task->text, TaskState::Succeeded));
+    auto waited = std::async(std::launch::async, [&] {
+        std::unique_lock lock(task->mutex);
+        task->changed.wait(lock, [&] { return task->over(); });
+        return called;
+    });
+    EXPECT_EQ(waited.wait_for(20ms), std::future_status::timeout) << "the callback has not been called";
+    comeBack();
+    EXPECT_EQ(waited.get(), Noted{"SUCCEEDED"});
+}
+
+TEST_F(NewsDeskTest, AWaitEndsWhenACallbackThrowsOrIsDiscarded) {
+    const auto id = *Id128::fromBytes(std::string(16, 'a'));
+    const auto task = [&] {
+        auto made = std::make_shared<Task::Shared>(id, std::weak_ptr<Client::Session>(),
+                                                   report(id.toString(), TaskState::Running));
+        made->callbacks.emplace_back([](const TaskReport&) { throw std::runtime_error("mine"); });
+        news.add(made);
+        news.onTask(report(made->text, TaskState::Succeeded));
+        return made;
+    };
+    const auto throws = task();
+    EXPECT_FALSE(throws->over());
+    comeBack();
+    EXPECT_TRUE(throws->over());
+    news.close();
+    EXPECT_TRUE(task()->over()) << "nothing is called after the client has been closed";
 }
 
 TEST_F(NewsDeskTest, AHandleThatWasDroppedIsNotTold) {

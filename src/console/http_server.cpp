@@ -124,10 +124,12 @@ struct HttpServer::Parts {
         if (listener.get() < 0 ||
             ::bind(listener.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0 ||
             ::listen(listener.get(), kBacklog) != 0)
-            fail("cannot listen on " + settings.host + ":" + std::to_string(settings.port) + " (" +
-                 std::generic_category().message(errno) +
-                 "): another axon-server may be running; fix: choose another port with --console-endpoint, "
-                 "or 0 for a free one, or leave the console out with --no-console");
+            fail(
+                "cannot listen on " + settings.host + ":" + std::to_string(settings.port) + " (" +
+                std::generic_category().message(errno) +
+                "): another program may have this port, perhaps an axon-server that is already running; fix: "
+                "choose another port with --console-endpoint, or 0 for a free one, or leave the console out "
+                "with --no-console");
         const auto end = endOf(listener.get(), ::getsockname);
         port = static_cast<std::uint16_t>(std::stoul(end.substr(end.rfind(':') + 1)));
     }

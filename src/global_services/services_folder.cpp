@@ -102,6 +102,7 @@ class ServicesFolder::Contents {
     std::map<std::string, std::string> said_;  // by name: what was published of it
     std::size_t left_out_ = 0;                 // files beyond the bound
     std::string trouble_;                      // why the folder cannot be read
+    bool there_ = false;                       // it has been read: many servers never have one
 };
 
 std::map<std::string, ServicesFolder::Contents::Mark> ServicesFolder::Contents::list() {
@@ -120,12 +121,14 @@ std::map<std::string, ServicesFolder::Contents::Mark> ServicesFolder::Contents::
         };
         found[name] = {status.st_dev, status.st_ino, status.st_size, ns(status.st_mtim), ns(status.st_ctim)};
     }
-    if (failure == std::errc::no_such_file_or_directory)
-        trouble = "no global services are offered; to offer some, put their profiles into " +
-                  folder_.string() + ", which does not exist yet";
-    else if (failure)
+    if (failure == std::errc::no_such_file_or_directory) {
+        if (there_) trouble = folder_.string() + " is gone; no global services are offered";
+    } else if (failure) {
         trouble =
             folder_.string() + " cannot be read (" + failure.message() + "); no global services are offered";
+    } else {
+        there_ = true;
+    }
     if (std::exchange(trouble_, trouble) != trouble && !trouble.empty()) note_("global services: " + trouble);
     return found;
 }

@@ -19,7 +19,7 @@ namespace axon::global_services {
 /// Every `*.xml` of the folder is read; names that begin with '.' are an editor's. A file is read again when
 /// its inode, size or times have changed, and once more at the look after that, since it may have been read
 /// in the middle of being written. What was read, and every finding, is said once for each change. A folder
-/// that is not there offers nothing until it is.
+/// that is not there offers nothing until it is; nothing is said of one that has never been there.
 ///
 /// A file with an error offers no services. The name of a service is that of one file only, the first by
 /// name; the others have an error that names it.

@@ -95,8 +95,9 @@ Reading<Message> readProfile(std::string_view xml, std::string_view file_name, P
 }  // namespace
 
 std::string Finding::toString() const {
-    return file + ":" + std::to_string(line) + ": " + (severity == Severity::Error ? "error" : "warning") +
-           ": " + element + ": " + expected + ": " + fix;
+    return file + (line > 0 ? ":" + std::to_string(line) : std::string()) + ": " +
+           (severity == Severity::Error ? "error" : "warning") + ": " + element + ": " + expected + ": " +
+           fix;
 }
 
 bool hasError(const std::vector<Finding>& findings) {
@@ -160,7 +161,7 @@ ProfileText readProfileText(const std::filesystem::path& path, std::string_view 
     std::error_code failure;
     const auto status = std::filesystem::status(path, failure);
     if (!std::filesystem::exists(status))
-        return unreadable("a file; there is none of this name", "check the path");
+        return unreadable("expected a profile, found no file of this name", "check the path");
     if (!std::filesystem::is_regular_file(status))
         return unreadable("a regular file", "name the profile itself");
     std::ifstream file(path, std::ios::binary);

@@ -6,6 +6,7 @@
 """
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -48,6 +49,19 @@ class ProjectsTest(unittest.TestCase):
         self.does("axon", "init", kind, name, folder=self.lab.folder)
         return self.lab.folder / name
 
+    def test_links_of_installed_examples_lead_somewhere(self):
+        doc = self.prefix / "share" / "doc"
+        site = doc / "axon" / "html"  # of axon-doc, which is made of the pages of the source
+        pages = sorted((doc / "libaxon-entity-interfacer-dev" / "examples").glob("*/README.md"))
+        self.assertGreaterEqual(len(pages), 8)
+        for page in pages:
+            prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+            for link in re.findall(r"\]\((?!https?:)([^)#]+)", prose):
+                there = pathlib.Path(os.path.normpath(page.parent / link))
+                if there.is_relative_to(site):
+                    there = (ROOT / there.relative_to(site)).with_suffix(".md")
+                self.assertTrue(there.exists(), f"{page}: {link}")
+
     def test_a_new_robot_is_seen_and_moves_without_an_edit(self):
         project = self.made("robot", "Rover")
         log = open(self.lab.folder / "rover.log", "wb")
@@ -65,14 +79,17 @@ class ProjectsTest(unittest.TestCase):
             os.killpg(running.pid, signal.SIGTERM)
             self.assertEqual(running.wait(20), 143)
         tests = self.does("ctest", "--test-dir", "build", "--output-on-failure", folder=project)
-        self.assertIn("100% tests passed, 0 tests failed out of 2", tests)
+        self.assertIn("100% tests passed, 0 tests failed out of 3", tests)
+        self.assertRegex(tests, r"robot +\.+ +Passed")
 
     def test_a_new_client_lists_the_robots(self):
         project = self.made("client", "tour")
         (project / "client.cfg").write_text(f"Axon.Server = {self.lab.at['client']}\n")
         self.does("cmake", "-S", ".", "-B", "build", folder=project)
         self.does("cmake", "--build", "build", folder=project)
-        self.does("ctest", "--test-dir", "build", "--output-on-failure", folder=project)
+        tests = self.does("ctest", "--test-dir", "build", "--output-on-failure", folder=project)
+        self.assertIn("100% tests passed, 0 tests failed out of 2", tests)
+        self.assertRegex(tests, r"robots +\.+ +Passed")
         self.assertIn("no robots at", self.does("build/tour-client", folder=project))
 
 

@@ -17,6 +17,10 @@ LIBRARIES = [
      "What the client library answers with, and the states of an entity."),
     ("entity_interfacer", "Entity Interfacer", "src/entity_interfacer/axon", ["entity_interfacer.hpp", "device_guard.hpp"],
      "For robot applications."),
+    ("testing_entity", "Tests of robot applications", "src/testing/entity/axon/testing",
+     ["scripted_manager.hpp", "manual_clock.hpp", "failure.hpp"], "A scripted Entity Manager and a clock, for the test of a robot application."),
+    ("testing_client", "Tests of programs that use robots", "src/testing/client/axon/testing", ["laboratory.hpp", "script.hpp"],
+     "A laboratory with scripted robots, for the test of a program."),
 ]
 
 
@@ -251,7 +255,7 @@ def declared_in(xml, headers):
     for compound in compounds:
         name = compound.findtext("compoundname")
         if compound.get("kind") in ("class", "struct") and name.rpartition("::")[0] not in classes:  # others are shown inside theirs
-            note(compound, "doxygen" + compound.get("kind"), name, name.removeprefix("axon::").removeprefix("client::"))
+            note(compound, "doxygen" + compound.get("kind"), name, name.removeprefix("axon::").removeprefix("client::").removeprefix("testing::"))
         elif compound.get("kind") == "namespace":
             for member in compound.iter("memberdef"):
                 kind, whole = member.get("kind"), f"{name}::{member.findtext('name')}"
@@ -280,7 +284,7 @@ def with_links(xml, page):
 
 def cpp_pages(root, work, source):
     headers = [f"{folder}/{name}" for _, _, folder, names, _ in LIBRARIES for name in names]
-    xml = doxygen(work / "cpp", headers, root, PREDEFINED='"AXON_EI_API="', MACRO_EXPANSION="YES", ENABLE_PREPROCESSING="YES",
+    xml = doxygen(work / "cpp", headers, root, PREDEFINED='"AXON_EI_API=" "AXON_TESTING_API="', MACRO_EXPANSION="YES", ENABLE_PREPROCESSING="YES",
                   SEARCH_INCLUDES="YES", EXCLUDE_SYMBOLS="*::Shared *::Channel *::Desk")
     with_links(xml, "api/cpp/client.rst")  # all pages of the classes lie in this folder
     declared = declared_in(xml, headers)
@@ -288,7 +292,7 @@ def cpp_pages(root, work, source):
     for file, title, folder, names, what in LIBRARIES:
         lines = [title, "=" * len(title), "", what, ""]
         for name in names:
-            include = f"axon/{name}"
+            include = f"{folder[folder.index('/axon') + 1:]}/{name}"
             lines += [include, "-" * len(include), ""]
             for _, directive, whole, heading in declared[f"{folder}/{name}"]:
                 if heading:

@@ -31,7 +31,9 @@ int set(Session& session) {
         readArguments(*service.value(), session.args.at("parameters").get<std::vector<std::string>>());
     if (!arguments) {
         if (arguments.refusal().code == RefusalCode::Malformed)
-            return misused(session, arguments.refusal().message);
+            return misused(session, arguments.refusal().message,
+                           "axon info " + shellWord(name) + " " + shellWord(service.value()->name) +
+                               " shows what it takes");
         return refuse(session, arguments.refusal(), name);
     }
     int exit = kDone;

@@ -34,7 +34,11 @@ int refuseGlobal(Session& session, const Refusal& refusal) {
                 "shows which robots can play its roles";
             break;
         case RefusalCode::UnknownTask:
-            event["fix"] = "axon global history shows the runs";
+            event["fix"] =
+                session.kept ? "a run that was started a moment ago may not have begun yet; axon global "
+                               "history shows the runs"
+                             : "Ctrl-C where axon global run is running cancels the run; to reach a run from "
+                               "another command, check its robots out first: axon checkout";
             break;
         case RefusalCode::NotSupported:
             event["fix"] = "the server, or a robot's Entity Manager, is older than this command: update it";

@@ -70,7 +70,7 @@ int release(Session& session) {
             exit = refuse(session, done.refusal(), callOf(session, entity));
         }
     }
-    if (wanted.empty() && exit == kDone) {
+    if (wanted.empty() && exit == kDone && !tellLost(session)) {
         session.events.emit({{"event", "notice"}, {"message", "nothing is checked out here"}});
     }
     return exit;

@@ -127,7 +127,9 @@ int run(Session& session) {
         readArguments(*service.value(), session.args.value("parameters", std::vector<std::string>{}));
     if (!arguments) {
         if (arguments.refusal().code == RefusalCode::Malformed)
-            return misused(session, arguments.refusal().message);
+            return misused(session, arguments.refusal().message,
+                           "axon info " + shellWord(name) + " " + shellWord(service.value()->name) +
+                               " shows what it takes");
         return refuse(session, arguments.refusal(), name);
     }
 

@@ -182,6 +182,7 @@ int tasks(Session& session) {
         if (client::isFinal(task.state)) changes.seen(task.id);
     }
     session.events.emit({{"event", "tasks"}, {"tasks", std::move(list)}, {"forgotten", kept.forgotten}});
+    if (session.station->held().empty()) tellLost(session);
     if (!follow) return kDone;
     while (const auto event = session.mailbox->wait(end)) changes.show(*event);
     return session.mailbox->takeInterrupt() ? kInterrupted : kDone;

@@ -662,6 +662,17 @@ TEST_F(Verbs, WatchShowsSamplesAndTextsUntilItsTimeIsUp) {
     EXPECT_EQ(perform("watch", {{"entity", "Cyton"}}), kInterrupted);
 }
 
+TEST_F(Verbs, WatchOfAStreamThatIsNotSentNamesThoseThatAre) {
+    station->samples = {{1, R"({"stream":"pose","sequence":"1","pose":{"x":1.5}})"}};
+    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pos"}}, {"for", 0.01}}), kDone);
+    EXPECT_EQ(seen.last("notice")->at("message"), "Cyton sends no stream \"pos\" now; it sends pose");
+    station->samples.clear();
+    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pos"}}, {"for", 0.01}}), kDone);
+    EXPECT_EQ(seen.last("notice")->at("message"), "Cyton sends no stream \"pos\" now; it sends none at all");
+    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"for", 0.01}}), kDone);
+    EXPECT_EQ(seen.last("notice")->at("message"), "nothing was received from Cyton");
+}
+
 TEST_F(Verbs, WatchKeepsTheNewestPictureInAFileAndPassesNoPixelsOn) {
     const auto file = std::filesystem::path(testing::TempDir()) / "axon-picture.jpg";
     std::filesystem::remove(file);

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <cstdlib>
 #include <filesystem>
+#include <set>
 
 #include "cli/agent_link.hpp"
 #include "cli/desktop.hpp"
 #include "cli/frames.hpp"
+#include "cli/heard_streams.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
+#include "messages/text.hpp"
 
 // axon watch
 namespace axon::cli {
@@ -101,6 +104,25 @@ std::string prepareWatch(Json& args) {
     return {};
 }
 
+/// How long a stream that was named may be silent before the user is told.
+constexpr std::chrono::seconds kSilence{1};
+
+/// Says which of these streams the entity does not send, and which ones it sends.
+void tellSilent(Session& session, const std::string& entity, const std::string& call,
+                std::set<std::string> silent) {
+    std::string sent;
+    for (const auto& stream : streamsOf(session, entity)) {
+        const auto name = stream.at("name").get<std::string>();
+        silent.erase(name);
+        sent += (sent.empty() ? "" : ", ") + name;
+    }
+    for (const auto& name : silent) {
+        session.events.emit({{"event", "notice"},
+                             {"message", call + " sends no stream " + inQuotes(name) + " now; " +
+                                             (sent.empty() ? "it sends none at all" : "it sends " + sent)}});
+    }
+}
+
 int watch(Session& session) {
     const auto name = session.args.at("entity").get<std::string>();
     const auto found = session.station->find(name);
@@ -110,20 +132,35 @@ int watch(Session& session) {
     const auto call = callOf(session, found.value());
     auto pictures = pictureFile(session, found.value());
     if (!pictures) return misused(session, pictures.refusal().message, {});
-    const auto watching = session.station->watch(
-        found->id, session.args.value("streams", std::vector<std::string>{}),
-        [mailbox, call](const Sample& sample) { mailbox->post(sampleEvent(call, sample), true); });
+    const auto streams = session.args.value("streams", std::vector<std::string>{});
+    const auto watching = session.station->watch(found->id, streams, [mailbox, call](const Sample& sample) {
+        mailbox->post(sampleEvent(call, sample), true);
+    });
     if (!watching) return refuse(session, watching.refusal(), name);
     session.events.emit({{"event", "watching"}, {"entity", call}});
 
-    std::optional<std::chrono::steady_clock::time_point> end;
+    using Clock = std::chrono::steady_clock;
+    std::optional<Clock::time_point> end;
     if (session.args.contains("for")) {
-        end = std::chrono::steady_clock::now() +
-              std::chrono::duration_cast<std::chrono::steady_clock::duration>(
-                  Seconds(session.args.at("for").get<double>()));
+        end = Clock::now() +
+              std::chrono::duration_cast<Clock::duration>(Seconds(session.args.at("for").get<double>()));
     }
+    std::set<std::string> silent(streams.begin(), streams.end());
+    std::optional<Clock::time_point> patience;
+    if (!silent.empty()) patience = std::min(end.value_or(Clock::time_point::max()), Clock::now() + kSilence);
     bool any = false;
-    while (auto event = session.mailbox->wait(end)) {
+    while (true) {
+        auto event = session.mailbox->wait(patience ? patience : end);
+        if (!event && session.mailbox->takeInterrupt()) return kInterrupted;
+        if (event && event->at("event") == "sample") silent.erase(event->at("stream").get<std::string>());
+        if (patience && Clock::now() >= *patience) {
+            patience.reset();
+            if (!silent.empty()) tellSilent(session, found->id, call, silent);
+        }
+        if (!event) {
+            if (end && Clock::now() >= *end) break;
+            continue;
+        }
         if (pictures.value() && event->at("event") == "sample") {
             if (const auto taken = pictures.value()->take(*event); !taken)
                 return misused(session, taken.refusal().message,
@@ -136,10 +173,11 @@ int watch(Session& session) {
             session.events.emit({{"event", "dropped"}, {"count", dropped}});
         }
         // A clock that is looked at only when nothing comes would never end a busy watch.
-        if (end && std::chrono::steady_clock::now() >= *end) break;
+        if (end && Clock::now() >= *end) break;
     }
     if (session.mailbox->takeInterrupt()) return kInterrupted;
-    if (!any) session.events.emit({{"event", "notice"}, {"message", "nothing was received from " + call}});
+    if (!any && streams.empty())
+        session.events.emit({{"event", "notice"}, {"message", "nothing was received from " + call}});
     return kDone;
 }
 

@@ -72,7 +72,8 @@ class Task {
   public:
     const std::string& id() const;
     TaskReport report() const;
-    /// Blocks until the state is final, or until `time` has passed. Returns the newest report in both cases.
+    /// Blocks until the state is final and the callbacks of onUpdate() have been called with it, or until
+    /// `time` has passed. Returns the newest report in both cases. Do not hold a lock that a callback takes.
     TaskReport wait(std::optional<Seconds> time = std::nullopt) const;
     /// The callback is called immediately with the current report, then on every change. It runs as
     /// all callbacks do (see Client).
@@ -97,7 +98,8 @@ class Run {
   public:
     const std::string& id() const;
     RunReport report() const;
-    /// Blocks until the state is final, or until `time` has passed. Returns the newest report in both cases.
+    /// Blocks until the state is final and the callbacks of onUpdate() have been called with it, or until
+    /// `time` has passed. Returns the newest report in both cases. Do not hold a lock that a callback takes.
     RunReport wait(std::optional<Seconds> time = std::nullopt) const;
     /// The callback is called immediately with the current report, then on every change. It runs as
     /// all callbacks do (see Client).

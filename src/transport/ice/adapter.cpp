@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/ice/adapter.hpp"
 
+#include <cerrno>
 #include <stdexcept>
+#include <system_error>
 
 namespace axon::transport {
 namespace {
@@ -32,9 +34,14 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
     try {
         return communicator.createObjectAdapterWithEndpoints(name, endpoint);
     } catch (const Ice::SocketException& error) {
-        throw std::runtime_error(name + ": cannot listen on '" + endpoint + "' (" + error.what() +
-                                 "): another axon-server may be running, or this machine does not have the "
-                                 "address; fix: choose another port, or 0 for a free one");
+        const bool taken = error.error == EADDRINUSE;
+        throw std::runtime_error(
+            name + ": cannot listen on '" + endpoint + "' (" + std::generic_category().message(error.error) +
+            (taken ? "): another program has this port, perhaps an axon-server that is already running; fix: "
+                     "end "
+                     "that one (as root: systemctl stop axon-server, if it is the service), or choose other "
+                     "ports, such as axon-server --base-port 0 for free ones"
+                   : "); fix: name an address of this machine"));
     } catch (const Ice::Exception& error) {
         throw std::runtime_error(name + ": '" + endpoint + "' is not an endpoint on which to listen (" +
                                  error.what() + ")");
