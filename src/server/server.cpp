@@ -223,7 +223,7 @@ transport::ConnectionBounds browserBounds(const ConsoleSettings& console) {
 /// Of the console's sessions. A browser that is asked for a certificate gives up.
 transport::CommunicatorSettings browserSettings(const ServerSettings& settings, Lane lane) {
     auto its = communicatorSettings(settings, lane);
-    its.name = lane == Lane::Signal ? "axon-browser-st" : "axon-browsers";
+    its.name = lane == Lane::Signal ? "axon-br-signal" : "axon-browsers";
     its.properties["IceSSL.VerifyPeer"] = "0";
     // The largest that a page sends are chunks of files, of 64 KiB, and texts that are parameters of tasks.
     its.properties.emplace("FrontEndServerBrowsers.MessageSizeMax", std::to_string(kBrowserSizeMaxKib));
