@@ -50,8 +50,10 @@ function opened(its: Client): void {
     problem.value = "";
     let before: ConnectionReport | undefined;
     unfollow = follow(its);
+    const opener = user.value;
     its.onConnection((report) => {
         connection.value = report;
+        if (report.kind === "closed" && report.ended !== undefined && client.value === its) void replaced(opener);
         if (before?.kind !== report.kind && report.kind !== "reconnecting" && !(before?.kind === "reconnecting" && report.kind === "lost")) {
             if (report.kind === "lost") note("connection", undefined, `the connection to the server was lost: ${report.reason}`);
             if (report.kind === "connected") {
@@ -65,7 +67,17 @@ function opened(its: Client): void {
         note(code === "OK" ? "message" : "refusal", { id: "", name: "server" }, text);
         say(code === "OK" ? "wait" : "bad", text);
     });
-    void resumeHolds(its);
+    void resumeHolds(its, opener);
+}
+/** In another tab of this browser somebody else has logged in: a person has to say who goes on here. */
+async function replaced(opener: string): Promise<void> {
+    const now = user.value;
+    await end();
+    user.value = "";
+    askForLogin();
+    const name = (one: string): string => (one === "" ? "nobody" : one);
+    problem.value = `${name(now)} has logged in with this browser meanwhile, and this page was ${name(opener)}'s. What it held was stopped, and is not kept. Log in to go on.`;
+    note("connection", undefined, `the session of ${name(opener)} has ended: ${name(now)} has logged in meanwhile`);
 }
 
 /** Opens the session, and tries again until there is one or somebody has to log in. */
