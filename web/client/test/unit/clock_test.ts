@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The clock of a page against a Worker that the test plays, and the Worker's own script.
 import assert from "node:assert/strict";
-import { mock, test } from "node:test";
+import { test } from "node:test";
 import { workerClock } from "../../dist/index.js";
 
 interface Order {
@@ -31,6 +31,25 @@ function world(): { worker: FakeWorker; rung: string[]; alarm: (name: string) =>
     return { worker, rung, alarm: (name) => clock.alarm(() => rung.push(name)), now: () => clock.now() };
 }
 
+/** Timers of the page that go on when the test says so. */
+function pageTimers(): { tick: (ms: number) => void; reset: () => void } {
+    const { setTimeout: set, clearTimeout: clear } = globalThis;
+    const timers = new Map<number, { readonly at: number; readonly ring: () => void }>();
+    let last = 0;
+    let time = 0;
+    Object.assign(globalThis, {
+        setTimeout: (ring: () => void, ms: number) => (timers.set(++last, { at: time + ms, ring }), last),
+        clearTimeout: (id: number | undefined) => void (id !== undefined && timers.delete(id)),
+    });
+    return {
+        tick: (ms) => {
+            time += ms;
+            for (const [id, { at, ring }] of [...timers].sort(([, a], [, b]) => a.at - b.at)) if (at <= time && timers.delete(id)) ring();
+        },
+        reset: () => void Object.assign(globalThis, { setTimeout: set, clearTimeout: clear }),
+    };
+}
+
 test("A Worker's timer rings once, however often the Worker says so", () => {
     const { worker, rung, alarm, now } = world();
     alarm("a").set(now() + 1000);
@@ -43,7 +62,7 @@ test("A Worker's timer rings once, however often the Worker says so", () => {
 });
 
 test("After a Worker has failed each timer rings once, whoever comes first", () => {
-    mock.timers.enable({ apis: ["setTimeout"] });
+    const timers = pageTimers();
     try {
         const { worker, rung, alarm, now } = world();
         const at = now() + 1000;
@@ -56,7 +75,7 @@ test("After a Worker has failed each timer rings once, whoever comes first", () 
         worker.fail();
         worker.ring(second); // it had been on its way
         ended.end();
-        mock.timers.tick(2000);
+        timers.tick(2000);
         worker.ring(first);
         worker.ring(third);
         assert.deepEqual(rung, ["early worker", "late worker"]);
@@ -64,10 +83,10 @@ test("After a Worker has failed each timer rings once, whoever comes first", () 
         after.set(now() + 5);
         after.end();
         alarm("by the page's own timers").set(now() + 5);
-        mock.timers.tick(10);
+        timers.tick(10);
         assert.deepEqual(rung, ["early worker", "late worker", "by the page's own timers"]);
     } finally {
-        mock.timers.reset();
+        timers.reset();
     }
 });
 
@@ -96,7 +115,7 @@ test("The Worker's script has one timer for each id, and none that was stopped",
     const { addEventListener: before, postMessage: beforeToo } = scope;
     scope.addEventListener = (_: string, on: typeof listen) => void (listen = on);
     scope.postMessage = (id: number) => rung.push(id);
-    mock.timers.enable({ apis: ["setTimeout"] });
+    const timers = pageTimers();
     try {
         await import("../../dist/timer_worker.js" as string);
         listen?.({ data: { start: 1, ms: 10 } });
@@ -104,12 +123,12 @@ test("The Worker's script has one timer for each id, and none that was stopped",
         listen?.({ data: { start: 2, ms: 10 } });
         listen?.({ data: { stop: 2 } });
         listen?.({ data: { start: 3, ms: 10 } });
-        mock.timers.tick(100);
+        timers.tick(100);
         listen?.({ data: { stop: 3 } });
-        mock.timers.tick(100);
+        timers.tick(100);
         assert.deepEqual(rung, [3, 1]);
     } finally {
-        mock.timers.reset();
+        timers.reset();
         scope.addEventListener = before;
         scope.postMessage = beforeToo;
     }
