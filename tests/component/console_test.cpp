@@ -121,14 +121,23 @@ class RawBrowser : public RawClient {
         : RawClient(Socket{endpoint}, user, password, properties) {}
 };
 
+void onAnyPorts(server::ConsoleSettings& console, const std::string& scheme = {}) {
+    console.endpoint = console.session_endpoint = console.signal_endpoint = scheme + loopbackAddress() + ":0";
+}
+
+std::string socketAt(std::uint16_t port, const std::string& resource) {
+    return "ws -h " + loopbackAddress() + " -p " + std::to_string(port) + " -r " + resource;
+}
+
 class Console : public testing::Test {
   protected:
-    explicit Console(bool with_users = false) {
+    explicit Console(bool with_users = false, const std::vector<std::string>& proxies = {}) {
         std::string name = (fs::temp_directory_path() / "axon-console-XXXXXX").string();
         folder = ::mkdtemp(name.data());
         auto settings = onLoopback();
-        settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+        onAnyPorts(settings.console);
         settings.console.folder = (folder / "dist").string();
+        settings.console.proxies = proxies;
         if (with_users) {
             settings.users_file = (folder / "users.cfg").string();
             server::writeUser(settings.users_file, "boss", server::UserRole::Admin, "secret1");
@@ -179,10 +188,8 @@ class Console : public testing::Test {
     }
     /// A page of this console opens a session.
     Json ticket(const std::string& cookie = {}) const { return jsonOf(post("/ticket", {}, cookie)); }
-    std::string sessions() const {
-        return "ws -h " + loopbackAddress() + " -p " + std::to_string(server->consoleSessionPort()) +
-               " -r /axon";
-    }
+    std::string sessions() const { return socketAt(server->consoleSessionPort(), "/axon"); }
+    std::string signals() const { return socketAt(server->consoleSessionPort(Lane::Signal), "/axon-signal"); }
     static std::string refusalOf(const std::function<void()>& open) {
         try {
             open();
@@ -201,14 +208,29 @@ class ConsoleWithUsers : public Console {
     ConsoleWithUsers() : Console(true) {}
 };
 
+class ConsoleBehindAProxy : public Console {
+  protected:
+    ConsoleBehindAProxy() : Console(true, {"https://lab.example"}) {}
+};
+
+TEST_F(ConsoleBehindAProxy, BothLanesAreAtTheProxy) {
+    const auto login = post("/login", "user=watcher&password=secret2");
+    const auto its = ticket(cookieOf(login));
+    ASSERT_TRUE(its.contains("password")) << its;
+    const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), "https://lab.example");
+    const RawBrowser client(browser.endpoint(), "", its["password"]);
+    EXPECT_EQ(client.facts.signalEndpoint, "wss -h lab.example -p 443 -r /axon-signal");
+}
+
 TEST_F(Console, IsInTheReadyLineAndSaysWhatIsMissing) {
     EXPECT_THAT(server->readyLine(), testing::EndsWith(" console=" + server->consoleAddress()));
     EXPECT_THAT(server->consoleAddress(), StartsWith("http://" + loopbackAddress() + ":"));
     const auto page = get("/");
     EXPECT_THAT(page, StartsWith("HTTP/1.1 503 "));
     EXPECT_THAT(page, HasSubstr("--target console"));
-    EXPECT_THAT(page, HasSubstr("connect-src 'self' ws://" + loopbackAddress() + ":" +
-                                std::to_string(server->consoleSessionPort())));
+    const auto socket = " ws://" + loopbackAddress() + ":";
+    EXPECT_THAT(page, HasSubstr("connect-src 'self'" + socket + std::to_string(server->consoleSessionPort()) +
+                                socket + std::to_string(server->consoleSessionPort(Lane::Signal))));
 }
 
 TEST_F(Console, ServesWhatHasBeenBuiltMeanwhile) {
@@ -227,7 +249,7 @@ TEST_F(Console, WithoutUsersAPageOpensASessionOverWebSocketAndStopsARobot) {
     ASSERT_TRUE(its.contains("endpoint")) << its;
     const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), origin());
     RawBrowser client(browser.endpoint(), "", its["password"]);
-    EXPECT_EQ(client.facts.signalEndpoint, "") << "one lane carries everything";
+    EXPECT_EQ(client.facts.signalEndpoint, signals());
     EXPECT_EQ(client.facts.me.role, Axon::CommUtil::Role::Admin) << "the server's own user";
     EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kFirst); }));
     client.data()->ice_oneway()->sendStopSignal(transport::toIce(client.headTo(kFirst)),
@@ -239,6 +261,42 @@ TEST_F(Console, WithoutUsersAPageOpensASessionOverWebSocketAndStopsARobot) {
 TEST_F(Console, TheEndpointOfATicketIsThatOfTheSessions) {
     EXPECT_EQ(ticket()["endpoint"], sessions());
     RawBrowser(sessions(), "", "");
+}
+
+TEST_F(Console, AStopGoesOverASignalLaneOfItsOwn) {
+    RawEntity robot(server->entityAddress(Lane::Data), kFirst);
+    robot.join();
+    const WithOrigin data(loopbackAddress(), server->consoleSessionPort(), origin());
+    const WithOrigin signal(loopbackAddress(), server->consoleSessionPort(Lane::Signal), origin());
+    RawBrowser client(data.endpoint(), "", "");
+    client.attach(signal.endpoint(), client.facts.token);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kFirst); }));
+    client.stalled = true;  // the page's own data
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 1"); }));
+}
+
+TEST_F(Console, ASignalLaneIsAttachedAtItsOwnPortAndOnce) {
+    RawBrowser client(sessions(), "", "");
+    const auto refusal = [&](const std::string& endpoint, const std::string& token) {
+        return refusalOf([&] { client.attach(endpoint, token); });
+    };
+    EXPECT_THAT(refusal(sessions(), client.facts.token), HasSubstr("attachSignalLane on the signal port"));
+    EXPECT_THAT(refusal(signals(), "guessed"), HasSubstr("no session waits for this token"));
+    EXPECT_EQ(refusal(signals(), client.facts.token), "opened");
+    EXPECT_THAT(refusal(signals(), client.facts.token), HasSubstr("no session waits for this token"));
+}
+
+TEST_F(Console, AForeignPageOpensNoSignalLane) {
+    RawBrowser client(sessions(), "", "");
+    for (const auto* foreign : {"http://other.example", "null"}) {
+        const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(Lane::Signal), foreign);
+        EXPECT_THAT(refusalOf([&] { client.attach(browser.endpoint(), client.facts.token); }),
+                    HasSubstr("not this server's console"))
+            << foreign;
+    }
+    client.attach(signals(), client.facts.token);
 }
 
 TEST_F(Console, AForeignPageOpensNoSession) {
@@ -304,7 +362,7 @@ TEST_F(ConsoleWithUsers, WrongPasswordsAreRefusedAndSlowedDown) {
 
 TEST(ConsoleStart, WhereItsPortIsTakenTheServerStartsUnlessItWasAskedFor) {
     auto settings = onLoopback();
-    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    onAnyPorts(settings.console);
     const server::Server first(settings);
     const auto address = first.consoleAddress();
     settings.console.endpoint = address.substr(7, address.size() - 8);
@@ -317,14 +375,16 @@ TEST(ConsoleStart, WhereItsPortIsTakenTheServerStartsUnlessItWasAskedFor) {
 
 TEST(ConsoleStart, RefusesToMixTlsAndNone) {
     auto settings = onLoopback();
-    settings.console.endpoint = loopbackAddress() + ":0";
-    settings.console.session_endpoint = "ssl://" + loopbackAddress() + ":0";
-    EXPECT_THROW(server::Server{settings}, std::runtime_error);
+    for (auto* its : {&settings.console.session_endpoint, &settings.console.signal_endpoint}) {
+        onAnyPorts(settings.console);
+        *its = "ssl://" + *its;
+        EXPECT_THROW(server::Server{settings}, std::runtime_error);
+    }
 }
 
 TEST(ConsoleStart, RefusesAProxyWithoutUsers) {
     auto settings = onLoopback();
-    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    onAnyPorts(settings.console);
     settings.console.proxies = {"https://lab.example"};
     try {
         const server::Server server(settings);
@@ -336,7 +396,7 @@ TEST(ConsoleStart, RefusesAProxyWithoutUsers) {
 
 TEST(ConsoleStart, RefusesANameThatIsNone) {
     auto settings = onLoopback();
-    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    onAnyPorts(settings.console);
     settings.console.names = {"http://lab.example"};
     EXPECT_THROW(server::Server{settings}, std::runtime_error);
 }
@@ -350,7 +410,7 @@ TEST(ConsoleOverTls, ABrowserWithoutACertificateOpensASession) {
     };
     auto settings = onLoopback();
     settings.ice_properties = issued(certificates::Kind::Server, loopbackAddress());
-    settings.console.endpoint = settings.console.session_endpoint = "ssl://" + loopbackAddress() + ":0";
+    onAnyPorts(settings.console, "ssl://");
     const server::Server server(settings);
     EXPECT_THAT(server.consoleAddress(), StartsWith("https://"));
     // It knows the CA, and has nothing to show; the files are there because the plug-in is loaded for them.
@@ -358,7 +418,9 @@ TEST(ConsoleOverTls, ABrowserWithoutACertificateOpensASession) {
     const RawBrowser client(
         "wss -h " + loopbackAddress() + " -p " + std::to_string(server.consoleSessionPort()) + " -r /axon",
         "", "", properties);
-    EXPECT_EQ(client.facts.signalEndpoint, "");
+    EXPECT_EQ(client.facts.signalEndpoint, "wss -h " + loopbackAddress() + " -p " +
+                                               std::to_string(server.consoleSessionPort(Lane::Signal)) +
+                                               " -r /axon-signal");
 }
 
 }  // namespace

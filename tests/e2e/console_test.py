@@ -154,7 +154,8 @@ class ConsoleTest(unittest.TestCase):
         browser = Browser(address)
         page = browser.ask("GET", "/")
         self.assertEqual((page.status, page.text), (200, "<!doctype html><title>console</title>"))
-        self.assertIn(f"ws://127.0.0.1:{self.base + 8}", page.headers["Content-Security-Policy"])
+        for port in (8, 9):
+            self.assertIn(f"ws://127.0.0.1:{self.base + port}", page.headers["Content-Security-Policy"])
         self.assertEqual(browser.ask("GET", "/", **{"If-None-Match": page.headers["ETag"]}).status, 304)
         self.assertEqual(browser.ask("GET", "/", Host="rebound.example").status, 421)
         self.assertEqual(browser.ask("GET", "/%2e%2e/server.log").status, 404)
@@ -229,6 +230,7 @@ class ConsoleTest(unittest.TestCase):
         certs = self.lab.folder / "certs"
         for old, new in (("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"), ("lab.example;", f"{name};"),
                          ("127.0.0.1:10417", f"127.0.0.1:{self.base + 7}"), ("127.0.0.1:10418", f"127.0.0.1:{self.base + 8}"),
+                         ("127.0.0.1:10419", f"127.0.0.1:{self.base + 9}"),
                          ("/etc/ssl/certs/lab.example.pem", str(certs / f"server-{name}.cert.pem")),
                          ("/etc/ssl/private/lab.example.key", str(certs / f"server-{name}.key.pem"))):
             self.assertIn(old, text)
@@ -257,7 +259,7 @@ class ConsoleTest(unittest.TestCase):
     def test_behind_nginx(self):
         self.certs("init")
         self.certs("issue", "--server", "localhost")
-        port = self.base + 9
+        port = self.base + 10
         file = self.lab.folder / "server.cfg"
         file.write_text(f"Console.Proxies=https://localhost:{port}\n")
         self.start(*self.with_users(), "--config", file)
@@ -271,7 +273,8 @@ class ConsoleTest(unittest.TestCase):
         self.assertTrue(browser.cookie.startswith(f"__Host-axon-{port}="), browser.cookie)
         _, ticket = browser.post("/ticket")
         self.assertEqual(ticket["endpoint"], f"wss -h localhost -p {port} -r /axon")
-        self.assertIn(" 101 ", browser.upgrade(ticket["endpoint"], browser.origin))
+        for endpoint in (ticket["endpoint"], ticket["endpoint"] + "-signal"):
+            self.assertIn(" 101 ", browser.upgrade(endpoint, browser.origin), endpoint)
         self.assertEqual(self.open(ticket, "Ice.Plugin.IceSSL=IceSSL:createIceSSL", f"IceSSL.CAs={ca}", "IceSSL.CheckCertName=1"), "opened")
         foreign = browser.ask("POST", "/ticket", Origin="https://other.example")
         self.assertEqual(foreign.status, 403)

@@ -73,7 +73,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     const auto key = visitors.enter("anna");
     Files files;
     Passwords passwords;
-    ConsoleCore core(Sites({false, 10417, 10418, {"lab"}, {"https://lab.example"}}), files, passwords,
+    ConsoleCore core(Sites({false, 10417, 10418, 10419, {"lab"}, {"https://lab.example"}}), files, passwords,
                      visitors,
                      [](const std::string& note) { require(note.find('\n') == std::string::npos); });
     Request request;

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "console/core/form.hpp"
 
+#include <arpa/inet.h>
+
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <functional>
 
@@ -118,6 +121,16 @@ bool matchesTag(std::string_view header, std::string_view tag) {
         return its;
     });
     return its;
+}
+
+std::optional<std::string> forwardedFor(std::string_view header) {
+    const auto comma = header.rfind(',');
+    const std::string last(trimmed(comma == std::string_view::npos ? header : header.substr(comma + 1)));
+    std::array<unsigned char, 16> address{};
+    if (::inet_pton(AF_INET, last.c_str(), address.data()) != 1 &&
+        ::inet_pton(AF_INET6, last.c_str(), address.data()) != 1)
+        return std::nullopt;
+    return last;
 }
 
 }  // namespace axon::console
