@@ -13,8 +13,7 @@ interface Parcel {
 export class PacedLane {
     private waiting: Parcel[] = [];
     private readonly forRoom = new Set<() => void>();
-    private messages = 0;
-    private bytes = 0;
+    private waitingBytes = 0;
     private onTheWay = 0;
     private pumping = false;
     private ended = false;
@@ -24,14 +23,13 @@ export class PacedLane {
         private readonly failed: (error: unknown) => void,
     ) {}
 
-    /** What has not been written, or answered, yet. */
+    /** What waits here; what is on its way is bounded by `most`. */
     backlog(): { messages: number; bytes: number } {
-        return { messages: this.messages, bytes: this.bytes };
+        return { messages: this.waiting.length, bytes: this.waitingBytes };
     }
     post(bytes: number, send: () => PromiseLike<unknown>): void {
         if (this.ended) return;
-        ++this.messages;
-        this.bytes += bytes;
+        this.waitingBytes += bytes;
         this.waiting.push({ bytes, send });
         this.pump();
     }
@@ -49,6 +47,7 @@ export class PacedLane {
     end(): void {
         this.ended = true;
         this.waiting = [];
+        this.waitingBytes = 0;
         this.forRoom.clear();
     }
 
@@ -61,6 +60,7 @@ export class PacedLane {
                 if (next !== undefined) {
                     if (this.onTheWay > 0 && this.onTheWay + next.bytes > this.most) return;
                     this.waiting.shift();
+                    this.waitingBytes -= next.bytes;
                     this.give(next);
                     continue;
                 }
@@ -75,17 +75,12 @@ export class PacedLane {
     }
     private give({ bytes, send }: Parcel): void {
         this.onTheWay += bytes;
-        const done = (): void => {
-            this.onTheWay -= bytes;
-            --this.messages;
-            this.bytes -= bytes;
-        };
         const gone = (): void => {
-            done();
+            this.onTheWay -= bytes;
             this.pump();
         };
         const lost = (error: unknown): void => {
-            done();
+            this.onTheWay -= bytes;
             if (!this.ended) this.failed(error);
         };
         try {

@@ -390,7 +390,9 @@ export class Session implements Observer {
         );
         await this.within(Promise.all(released), RELEASE_MS);
         const connection = this.connection;
-        this.turn(() => this.end("this client was closed"));
+        this.turn(() => {
+            if (!this.closed) this.end("this client was closed");
+        });
         await connection?.leave();
     }
     /** For good. */

@@ -92,7 +92,7 @@ export interface Connection {
      * open its end is that of the session: the server ends both.
      */
     attachSignalLane(): Promise<void>;
-    /** Bytes and messages of the data lane that are not on their way yet, or may still be. */
+    /** Bytes and messages of the data lane that are not on their way yet. */
     backlog(): { readonly messages: number; readonly bytes: number };
     /**
      * Calls once, when nothing of the data lane waits and there is room for another chunk of an upload, in the order in which

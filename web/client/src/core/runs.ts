@@ -173,11 +173,12 @@ export class Runs {
             problems: [],
             reason: undefined,
         };
-        this.runs.set(id, { master, report, sequence: 0n });
-        this.open.add(id);
+        // Before anything is noted: a service that cannot be written must not leave a run open.
         const sequence = context.send(order.master, "RUN", master.lease, {
             collaboration: { runId: fromHex(id), service: fromGlobalService(order.service), participants, checkOnly: order.checkOnly, askedAtMs: BigInt(Math.round(order.askedAtMs)) },
         });
+        this.runs.set(id, { master, report, sequence: 0n });
+        this.open.add(id);
         requests.await(id, { kind: "startRun" }, { ...master, sequence });
         server.beatNow();
         server.pace();

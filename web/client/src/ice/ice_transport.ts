@@ -22,8 +22,8 @@ const LEAVE_MS = 1000;
 const SIGNAL_MS = 2000;
 /** Signals that are not written yet; beyond that the connection ends. */
 const SIGNALS_MAX = 16_384;
-/** At most this many bytes of data are on their way at a time, so that a signal on the same connection has only these before it. */
-const DATA_BYTES_MAX = 128 * 1024;
+/** At most this many bytes of data are on their way at a time, so that a signal on the same connection has only these before it: two chunks of uploads. */
+const DATA_BYTES_MAX = 2 * (64 + 1) * 1024;
 /** At most this many bytes are in a router at a time, because its queues have no bound. */
 const ROUTED_BYTES_MAX = 256 * 1024;
 /** A heartbeat through a router that wants an answer gets one within this, or the server behind it is gone. */
