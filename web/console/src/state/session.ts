@@ -24,6 +24,8 @@ export const ownName = signal(localStorage.getItem("axon-name") ?? "");
 const at = (path: string): URL => new URL(path, location.href.replace(/#.*/, ""));
 const ticket = ticketFrom(at("ticket"));
 let unfollow: (() => void) | undefined;
+/** The user of the session. */
+let openedBy = "";
 let generation = 0;
 
 async function credentials(): Promise<Credentials> {
@@ -50,7 +52,7 @@ function opened(its: Client): void {
     problem.value = "";
     let before: ConnectionReport | undefined;
     unfollow = follow(its);
-    const opener = user.value;
+    const opener = (openedBy = user.value);
     its.onConnection((report) => {
         connection.value = report;
         if (report.kind === "closed" && report.ended !== undefined && client.value === its) void replaced(opener);
@@ -107,6 +109,9 @@ export async function login(name: string, password: string): Promise<string> {
             const body = (await answer.json().catch(() => ({}))) as Record<string, unknown>;
             return typeof body["message"] === "string" ? body["message"] : `The server answers ${answer.status}.`;
         }
+        const body = (await answer.json().catch(() => ({}))) as Record<string, unknown>;
+        // Another user gets a session of their own.
+        if (client.value !== undefined && body["user"] !== openedBy) await end();
     } catch {
         return "The server does not answer. Is it running?";
     }
