@@ -189,17 +189,13 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
     return Users::read(settings.users_file);
 }
 
-transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane,
-                                                     std::initializer_list<const char*> adapters) {
+transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane) {
     transport::CommunicatorSettings its;
     its.lane = lane;
     its.name = lane == Lane::Signal ? "axon-signal" : "axon-data";
-    const int threads = lane == Lane::Signal ? settings.signal_threads : settings.data_threads;
-    // A pool for each adapter: what comes from clients does not wait for what comes from entities.
-    for (const std::string adapter : adapters) {
-        its.properties[adapter + ".ThreadPool.Size"] = std::to_string(threads);
-        its.properties[adapter + ".ThreadPool.Serialize"] = threads > 1 ? "1" : "0";
-    }
+    // Of each adapter, which has a pool of its own (transport::listen): what comes from clients does not wait
+    // for what comes from entities.
+    its.server_threads = lane == Lane::Signal ? settings.signal_threads : settings.data_threads;
     for (const auto& [key, value] : settings.ice_properties) its.properties[key] = value;
     return its;
 }
@@ -226,8 +222,8 @@ transport::ConnectionBounds browserBounds(const ConsoleSettings& console) {
 
 /// Of the console's sessions. A browser that is asked for a certificate gives up.
 transport::CommunicatorSettings browserSettings(const ServerSettings& settings, Lane lane) {
-    auto its = communicatorSettings(settings, lane, {});
-    its.name = lane == Lane::Signal ? "axon-browser-st" : "axon-browsers";
+    auto its = communicatorSettings(settings, lane);
+    its.name = lane == Lane::Signal ? "axon-br-signal" : "axon-browsers";
     its.properties["IceSSL.VerifyPeer"] = "0";
     // The largest that a page sends are chunks of files, of 64 KiB, and texts that are parameters of tasks.
     its.properties.emplace("FrontEndServerBrowsers.MessageSizeMax", std::to_string(kBrowserSizeMaxKib));
@@ -245,7 +241,7 @@ std::string socketForm(const std::string& endpoint) {
 
 /// What comes from the entities' signal lane are receipts and signs of life, which give way to stops.
 transport::CommunicatorSettings receiptSettings(const ServerSettings& settings) {
-    auto its = communicatorSettings(settings, Lane::Signal, {"EntityServerSignal"});
+    auto its = communicatorSettings(settings, Lane::Signal);
     its.name = "axon-receipts";
     its.priority = transport::kReceiptPriority;
     return its;
@@ -333,10 +329,8 @@ class Server::Parts {
     explicit Parts(const ServerSettings& settings)
         : logins(usersOf(settings), clock, note,
                  [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); }),
-          data(transport::makeCommunicator(
-              communicatorSettings(settings, Lane::Data, {"FrontEndServer", "EntityServer"}))),
-          signal(transport::makeCommunicator(
-              communicatorSettings(settings, Lane::Signal, {"FrontEndServerSignal"}))),
+          data(transport::makeCommunicator(communicatorSettings(settings, Lane::Data))),
+          signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
           receipts(transport::makeCommunicator(receiptSettings(settings))) {
         const bool both = settings.role == ServerRole::Both;
         if (settings.role != ServerRole::FrontEnd) {

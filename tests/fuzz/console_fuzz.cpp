@@ -66,6 +66,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     cookie(rest, "axon-10417");
     accepts(rest, "gzip");
     matchesTag(rest, "\"aa\"");
+    if (const auto client = forwardedFor(rest))
+        require(client->size() <= 45 &&
+                client->find_first_not_of("0123456789abcdefABCDEF:.") == std::string::npos);
 
     ManualClock clock;
     SeededRandom random(1);

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "console/core/form.hpp"
 
-#include <arpa/inet.h>
-
 #include <algorithm>
-#include <array>
 #include <cctype>
 #include <functional>
 
@@ -59,6 +56,25 @@ std::optional<std::string> decoded(std::string_view text) {
 bool sameLetters(std::string_view one, std::string_view other) {
     return std::equal(one.begin(), one.end(), other.begin(), other.end(),
                       [](unsigned char a, unsigned char b) { return std::tolower(a) == std::tolower(b); });
+}
+
+/// Of IPv4, or what can only be one of IPv6.
+bool isAddress(std::string_view text) {
+    constexpr std::size_t kLongest = 45;
+    const auto of = [&](char c) { return std::count(text.begin(), text.end(), c); };
+    if (of(':') > 0)
+        return of(':') >= 2 && of(':') <= 8 && text.size() <= kLongest &&
+               text.find_first_not_of("0123456789abcdefABCDEF:.") == std::string_view::npos;
+    int numbers = 0;
+    bool proper = true;
+    split(text, '.', [&](std::string_view part) {
+        ++numbers;
+        proper = !part.empty() && part.size() <= 3 &&
+                 part.find_first_not_of("0123456789") == std::string_view::npos &&
+                 (part.size() < 3 || part <= "255");
+        return !proper;
+    });
+    return proper && numbers == 4;
 }
 
 /// "q=0", "q=0.0", "q=0.000"
@@ -125,12 +141,9 @@ bool matchesTag(std::string_view header, std::string_view tag) {
 
 std::optional<std::string> forwardedFor(std::string_view header) {
     const auto comma = header.rfind(',');
-    const std::string last(trimmed(comma == std::string_view::npos ? header : header.substr(comma + 1)));
-    std::array<unsigned char, 16> address{};
-    if (::inet_pton(AF_INET, last.c_str(), address.data()) != 1 &&
-        ::inet_pton(AF_INET6, last.c_str(), address.data()) != 1)
-        return std::nullopt;
-    return last;
+    const auto last = trimmed(comma == std::string_view::npos ? header : header.substr(comma + 1));
+    if (!isAddress(last)) return std::nullopt;
+    return std::string(last);
 }
 
 }  // namespace axon::console
