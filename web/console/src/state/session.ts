@@ -74,7 +74,10 @@ function opened(its: Client): void {
 /** In another tab of this browser somebody else has logged in: a person has to say who goes on here. */
 async function replaced(opener: string): Promise<void> {
     const now = user.value;
-    await end();
+    const ending = end();
+    const own = generation;
+    await ending;
+    if (own !== generation) return; // it was here that somebody logged in, and a new session is being opened
     user.value = "";
     askForLogin();
     const name = (one: string): string => (one === "" ? "nobody" : one);

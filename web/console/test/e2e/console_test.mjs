@@ -316,6 +316,8 @@ test("AnotherUserLogsInWithTheSameBrowser", async () => {
         });
         await logIn("anna", "battery staple");
         await page.getByText("(operator)").waitFor();
+        // The signal lane has a WebSocket of its own.
+        await page.waitForFunction(() => globalThis.sockets.some((one) => one.url.endsWith("/axon-signal") && one.readyState === WebSocket.OPEN));
         await openEntity(page, "Greeter");
         await page.getByRole("button", { name: "Check out Greeter" }).click();
         await page.getByText("Greeter is yours", { exact: true }).first().waitFor();
