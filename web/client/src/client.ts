@@ -421,7 +421,7 @@ export class Client {
                 const id = session.core.checkOuts.checkOut(names, own, (granted) => {
                     options.signal?.removeEventListener("abort", onAbort);
                     if (granted instanceof Refusal) reject(granted);
-                    else resolve(granted.map((held) => this.handle(held)));
+                    else this.give(granted, resolve, reject);
                 });
                 options.signal?.addEventListener("abort", onAbort);
             });
@@ -436,7 +436,7 @@ export class Client {
             this.session.turn(() => {
                 this.session.core.checkOuts.resume(parseTicket(ticket), (granted) => {
                     if (granted instanceof Refusal) reject(granted);
-                    else resolve(this.handle(granted[0] as Held));
+                    else this.give(granted, (all) => resolve(all[0] as CheckOut), reject);
                 });
             });
         });
@@ -444,6 +444,14 @@ export class Client {
     /** The entities that this client holds now. */
     held(): readonly CheckOut[] {
         return this.session.core.leases.held().map((held) => this.handle(held));
+    }
+    /** Within a turn of the core, which nothing that is thrown must leave half done. */
+    private give(granted: readonly Held[], resolve: (all: readonly CheckOut[]) => void, reject: (why: unknown) => void): void {
+        try {
+            resolve(granted.map((held) => this.handle(held)));
+        } catch (error) {
+            reject(error);
+        }
     }
     private handle(held: Held): CheckOut {
         const key = keyOf(held);

@@ -20,6 +20,20 @@ const LONGEST_MS = 2 ** 30;
 
 type Start = (ring: () => void, ms: number) => () => void;
 
+/** Whatever the timers are made of: it rings at most once, and not after it was stopped. */
+function onlyOnce(start: Start, ring: () => void, ms: number): () => void {
+    let over = false;
+    const stop = start(() => {
+        if (over) return;
+        over = true;
+        ring();
+    }, ms);
+    return () => {
+        over = true;
+        stop();
+    };
+}
+
 /** One timer at a time. Setting it to a later time leaves the timer as it is: it rings too early, and is then set again. */
 class TimerAlarm implements Alarm {
     private armed = Infinity;
@@ -37,7 +51,7 @@ class TimerAlarm implements Alarm {
         this.stop?.();
         this.armed = at;
         const wait = Math.min(Math.max(at - this.now(), 0), LONGEST_MS);
-        this.stop = this.start(() => {
+        this.stop = onlyOnce(this.start, () => {
             this.armed = Infinity;
             this.stop = undefined;
             if (!this.ended) this.ring();
@@ -65,36 +79,40 @@ export function plainClock(): Clock {
  * beside this file. A browser that freezes a whole tab stops its Workers as well: the server then takes the client for lost.
  */
 export function workerClock(worker: Worker = new Worker(new URL("./timer_worker.js", import.meta.url), { type: "module", name: "axon-timer" })): Clock {
-    let plain: Clock | undefined; // if the worker cannot be loaded
+    let lost = false; // the worker cannot be loaded, or has failed
     let last = 0;
-    const waiting = new Map<number, { ring: () => void; at: number; cancel?: () => void }>();
-    worker.addEventListener("message", (event: MessageEvent<unknown>) => {
-        const one = typeof event.data === "number" ? waiting.get(event.data) : undefined;
+    const waiting = new Map<number, { readonly ring: () => void; readonly at: number; timer?: ReturnType<typeof setTimeout> }>();
+    // Whoever comes first, the worker or a timer in its place, takes it out.
+    const ringOnce = (id: number): void => {
+        const one = waiting.get(id);
         if (one === undefined) return;
-        waiting.delete(event.data as number);
+        waiting.delete(id);
+        clearTimeout(one.timer);
         one.ring();
+    };
+    const inItsPlace = (id: number): void => {
+        const one = waiting.get(id);
+        if (one !== undefined) one.timer = setTimeout(() => ringOnce(id), Math.max(one.at - now(), 0));
+    };
+    worker.addEventListener("message", (event: MessageEvent<unknown>) => {
+        if (typeof event.data === "number") ringOnce(event.data);
     });
     worker.addEventListener("error", () => {
-        if (plain !== undefined) return;
-        plain = plainClock();
-        for (const one of waiting.values()) {
-            const timer = setTimeout(one.ring, Math.max(one.at - now(), 0));
-            one.cancel = () => clearTimeout(timer);
-        }
+        if (lost) return;
+        lost = true;
+        for (const id of waiting.keys()) inItsPlace(id);
     });
     const start: Start = (ring, ms) => {
-        if (plain !== undefined) {
-            const timer = setTimeout(ring, ms);
-            return () => clearTimeout(timer);
-        }
         const id = ++last;
-        const one: { ring: () => void; at: number; cancel?: () => void } = { ring, at: now() + ms };
-        waiting.set(id, one);
-        worker.postMessage({ start: id, ms });
+        waiting.set(id, { ring, at: now() + ms });
+        if (lost) inItsPlace(id);
+        else worker.postMessage({ start: id, ms });
         return () => {
+            const one = waiting.get(id);
+            if (one === undefined) return;
             waiting.delete(id);
-            one.cancel?.();
-            worker.postMessage({ stop: id });
+            clearTimeout(one.timer);
+            if (!lost) worker.postMessage({ stop: id });
         };
     };
     return { now, alarm: (ring) => new TimerAlarm(now, start, ring) };

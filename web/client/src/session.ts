@@ -7,14 +7,18 @@ import type { RunReport } from "./global_types.js";
 import type { Id, Random } from "./ids.js";
 import { parseUuid } from "./ids.js";
 import { Refusal, refusalOf } from "./refusal.js";
-import type { Connection, ConnectionEvents, Header, Lane, Login, Transport } from "./transport.js";
+import type { Connection, ConnectionEvents, Header, Login, Transport } from "./transport.js";
 import type { ConnectionReport, Entity, EntityNews, HandOverRequest, Sample, ServerText, Service, TaskReport } from "./types.js";
 import { isFinalRun, isFinalTask } from "./wire/content.js";
+import { inQuotes } from "./wire/values.js";
 
 /** A client that has lost its server logs in again after this, then each time after twice as long. */
 const RECONNECT_FIRST_MS = 100;
 const RECONNECT_LAST_MS = 2000;
 const RELEASE_MS = 1000;
+/** A signal lane that could not be opened is tried again after this, each time after twice as long. */
+const ATTACH_FIRST_MS = 1000;
+const ATTACH_LAST_MS = 60_000;
 
 export type Credentials = Pick<Login, "user" | "password"> & Partial<Pick<Login, "server" | "signal">>;
 export interface SessionOptions {
@@ -101,12 +105,17 @@ export class Session implements Observer {
     private reason = "not connected yet";
     private tries = 0;
     private signalLane: ConnectionReport["signalLane"] = "shared";
+    private ended: Refusal | undefined;
+    /** The user of the first session: what is held is that user's. */
+    private user: string | undefined;
     private attempt = 0;
     /** The attempt whose events count; 0 = none. */
     private listening = 0;
     private connection: Connection | undefined;
     private reconnectAt = Infinity;
     private wait = RECONNECT_FIRST_MS;
+    private attachAt = Infinity;
+    private attachWait = ATTACH_FIRST_MS;
 
     private depth = 0;
     private departing = false;
@@ -134,18 +143,23 @@ export class Session implements Observer {
     private depart(): void {
         if (!this.departing) {
             this.departing = true;
-            for (let tell = this.news.shift(); tell !== undefined; tell = this.news.shift()) {
-                try {
-                    tell();
-                } catch (error) {
-                    this.failed(error);
-                }
-            }
+            for (let tell = this.news.shift(); tell !== undefined; tell = this.news.shift()) this.guarded(tell);
             this.departing = false;
-            for (const changed of [...this.changes]) changed();
+            for (const changed of [...this.changes]) this.guarded(changed);
         }
         this.setAlarm();
     }
+    /** What it throws is reported, and disturbs nothing else. */
+    private guarded(call: () => void): boolean {
+        try {
+            call();
+            return true;
+        } catch (error) {
+            this.failed(error);
+            return false;
+        }
+    }
+    /** The one place where errors of callbacks, and defects, are reported. */
     private failed(error: unknown): void {
         try {
             this.options.onError(error);
@@ -171,7 +185,7 @@ export class Session implements Observer {
     private setAlarm(): void {
         if (this.kind === "closed") return;
         const { server } = this.core;
-        const at = Math.min(this.core.nextDeadline(), this.desk.nextDeadline(), server.deadline, server.nextHeartbeat, this.reconnectAt);
+        const at = Math.min(this.core.nextDeadline(), this.desk.nextDeadline(), server.deadline, server.nextHeartbeat, this.reconnectAt, this.attachAt);
         this.alarmAt = at;
         this.alarm.set(at);
     }
@@ -179,11 +193,13 @@ export class Session implements Observer {
         this.turn(() => {
             const now = this.options.clock.now();
             this.core.server.awayFor(now - this.alarmAt);
-            this.core.server.onTimer(() => this.mayBeat());
-            this.desk.onTimer();
-            this.core.onTimer();
+            // A defect in one of them must not keep the others from their work.
+            this.guarded(() => this.core.server.onTimer(() => this.mayBeat()));
+            this.guarded(() => this.desk.onTimer());
+            this.guarded(() => this.core.onTimer());
             if (this.core.serverSilent) this.connectionLost(this.listening, "the server has been silent for too long");
             if (now >= this.reconnectAt) void this.reconnect();
+            if (now >= this.attachAt) void this.attachSignalLane();
         });
     }
     private mayBeat(): boolean {
@@ -206,6 +222,7 @@ export class Session implements Observer {
             tries: this.tries,
             nextTryMs: Number.isFinite(this.reconnectAt) ? Math.max(this.reconnectAt - now, 0) : undefined,
             signalLane: this.signalLane,
+            ended: this.ended,
         };
     }
     private become(kind: ConnectionReport["kind"], reason: string): void {
@@ -230,6 +247,7 @@ export class Session implements Observer {
         try {
             const credentials = await this.options.credentials();
             if (this.closed) throw new Refusal("CANCELLED", "This client was closed.");
+            this.checkUser(credentials.user);
             const opened = await this.options.transport.open({ ...this.options.login, ...credentials }, this.events(attempt));
             this.turn(() => {
                 if (this.listening !== attempt) {
@@ -237,7 +255,10 @@ export class Session implements Observer {
                     throw new Refusal("NOT_CONNECTED", "the connection ended during the login");
                 }
                 this.connection = opened;
-                this.signalLane = opened.facts.signalLane;
+                this.user ??= credentials.user;
+                this.signalLane = opened.signalLane;
+                this.attachWait = ATTACH_FIRST_MS;
+                this.attachAt = opened.signalLane === "shared" && opened.signalOffered ? this.options.clock.now() : Infinity;
                 this.desk.onConnected(opened);
                 this.core.onConnected(opened);
                 this.tries = 0;
@@ -255,6 +276,36 @@ export class Session implements Observer {
             });
             throw refusal;
         }
+    }
+    /** Throws, and ends the session for good, if somebody else would go on with it. */
+    private checkUser(user: string): void {
+        if (this.user === undefined || this.user === user) return;
+        const name = (one: string): string => (one === "" ? "nobody by name" : inQuotes(one));
+        const message = `The session was opened by ${name(this.user)}, and ${name(user)} is logged in now. What was held is not resumed under another name: open a new session.`;
+        this.ended = new Refusal("PERMISSION_DENIED", message);
+        this.turn(() => this.end(message));
+        throw this.ended;
+    }
+    private async attachSignalLane(): Promise<void> {
+        this.attachAt = Infinity;
+        const { connection } = this;
+        if (connection === undefined) return;
+        let opened = true;
+        try {
+            await connection.attachSignalLane();
+        } catch {
+            opened = false; // stops share the lane of data meanwhile
+        }
+        this.turn(() => {
+            if (this.connection !== connection) return;
+            if (opened) {
+                this.signalLane = connection.signalLane;
+                this.say(this.onConnection, this.report());
+            } else {
+                this.attachAt = this.options.clock.now() + this.attachWait;
+                this.attachWait = Math.min(2 * this.attachWait, ATTACH_LAST_MS);
+            }
+        });
     }
     private async reconnect(): Promise<void> {
         this.reconnectAt = Infinity;
@@ -281,6 +332,8 @@ export class Session implements Observer {
         const connection = this.connection;
         if (connection === undefined) return; // it is being opened, and open() fails
         this.connection = undefined;
+        this.attachAt = Infinity;
+        this.signalLane = "shared";
         connection.drop();
         this.wait = RECONNECT_FIRST_MS;
         if (this.options.reconnect) this.reconnectAt = this.options.clock.now() + this.nextWait();
@@ -290,7 +343,11 @@ export class Session implements Observer {
     }
     private events(attempt: number): ConnectionEvents {
         const on = (use: () => void): void => {
-            if (attempt === this.listening) this.turn(use);
+            if (attempt !== this.listening) return;
+            this.turn(() => {
+                // What cannot be handled is as if it had not come.
+                if (!this.guarded(use)) ++this.context.malformed;
+            });
         };
         return {
             profile: (presence, registration, profile) =>
@@ -299,7 +356,7 @@ export class Session implements Observer {
                     this.core.onProfile(presence, registration, profile);
                 }),
             status: (status) => on(() => this.core.onStatus(status)),
-            entityMessage: (lane, head, bytes) => on(() => this.onEntityMessage(lane, head, bytes)),
+            entityMessage: (_lane, head, bytes) => on(() => this.onEntityMessage(head, bytes)),
             refused: (head, refusal) =>
                 on(() => {
                     if (head.msgType === "STOP" || head.msgType === "RESET" || head.msgType === "CLEAR") this.desk.onRefusal(head.seq, head.entity, refusal);
@@ -311,9 +368,9 @@ export class Session implements Observer {
             closed: (reason) => on(() => this.connectionLost(attempt, reason)),
         };
     }
-    private onEntityMessage(lane: Lane, head: Header, bytes: Uint8Array): void {
+    private onEntityMessage(head: Header, bytes: Uint8Array): void {
         if (this.desk.onReceipt(head.entity, head.msgType, bytes)) return this.core.onHeartbeat(); // a sign of life
-        if (head.msgType === "REPLY" && (lane === "signal" || this.signalLane === "shared")) this.desk.onReply(head.entity, bytes);
+        if (head.msgType === "REPLY") this.desk.onReply(head.entity, bytes);
         this.core.onEntityMessage(head, bytes);
     }
 
@@ -334,16 +391,26 @@ export class Session implements Observer {
         await this.within(Promise.all(released), RELEASE_MS);
         const connection = this.connection;
         this.turn(() => {
-            this.connection = undefined;
-            this.listening = 0;
-            this.reconnectAt = Infinity;
-            this.become("closed", "this client was closed");
-            this.core.onDisconnected("this client was closed", true);
-            this.desk.onDisconnected();
-            this.desk.endOrders();
+            if (!this.closed) this.end("this client was closed");
         });
-        this.alarm.end();
         await connection?.leave();
+    }
+    /** For good. */
+    private end(why: string): void {
+        this.connection = undefined;
+        this.listening = 0;
+        this.reconnectAt = Infinity;
+        this.attachAt = Infinity;
+        this.signalLane = "shared";
+        this.become("closed", why);
+        this.core.onDisconnected(why, true);
+        this.desk.onDisconnected();
+        this.desk.endOrders();
+        this.alarm.end();
+    }
+    /** When it is an upload's turn to send a chunk. Returns what withdraws it. */
+    onRoom(call: () => void): () => void {
+        return this.context.link?.onRoom(call) ?? (() => undefined);
     }
     /** On the clock of this client. */
     delay(ms: number): Promise<void> {

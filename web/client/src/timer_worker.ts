@@ -15,6 +15,7 @@ scope.addEventListener("message", (event) => {
         timers.delete(stop);
     }
     if (start === undefined) return;
+    clearTimeout(timers.get(start)); // one for each ID
     timers.set(
         start,
         setTimeout(() => {

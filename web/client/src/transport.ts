@@ -75,14 +75,30 @@ export interface Facts {
     readonly entities: number;
     readonly watchdogBusyMs: number;
     readonly watchdogIdleMs: number;
-    readonly signalLane: "own" | "shared";
 }
 
-/** A session with the server, with one or two lanes. Nothing here waits or throws: what cannot be sent ends the connection. */
+/**
+ * A session with the server, with one or two lanes. Nothing here waits or throws: what cannot be sent ends the connection, and
+ * closed() is called in a turn of its own.
+ */
 export interface Connection {
     readonly facts: Facts;
-    /** Bytes and messages on the data lane that are not written yet. */
+    /** Whether signals have a connection of their own. */
+    readonly signalLane: "own" | "shared";
+    /** A signal lane is to be had, though it may not be open yet. */
+    readonly signalOffered: boolean;
+    /**
+     * Opens the signal lane that was offered; one try at a time. Rejects with a Refusal if it cannot be reached now. Once it is
+     * open its end is that of the session: the server ends both.
+     */
+    attachSignalLane(): Promise<void>;
+    /** Bytes and messages of the data lane that are not on their way yet. */
     backlog(): { readonly messages: number; readonly bytes: number };
+    /**
+     * Calls once, when nothing of the data lane waits and there is room for another chunk of an upload, in the order in which
+     * this was asked. Returns what withdraws it.
+     */
+    onRoom(call: () => void): () => void;
     toEntity(head: Header, bytes: Uint8Array): void;
     /** May be dropped, oldest first, if the receiver is slow. */
     toEntityDroppable(head: Header, bytes: Uint8Array): void;

@@ -167,8 +167,13 @@ export interface ConnectionReport {
     readonly tries: number;
     /** Until the next try; undefined if none is due. */
     readonly nextTryMs: number | undefined;
-    /** Whether stops have a connection of their own, or share the one of data. */
+    /** Whether stops have a connection of their own, or share the one of data. It may become "own" later. */
     readonly signalLane: "own" | "shared";
+    /**
+     * Of "closed": why the library has ended the session for good. PERMISSION_DENIED: another user has logged in meanwhile, as in
+     * another tab of the same browser. Undefined if the program has closed it.
+     */
+    readonly ended: Refusal | undefined;
 }
 
 export type TaskState = "QUEUED" | "DISPATCHED" | "RUNNING" | "PAUSED" | "SUCCEEDED" | "FAILED" | "STOPPED" | "CANCELLED" | "REFUSED" | "UNKNOWN";

@@ -16,9 +16,15 @@ export interface UploadOptions {
 
 const READ_BYTES = 1024 * 1024;
 
+const unreadable = (why: string): Refusal => new Refusal("UNKNOWN_RESOURCE", `The file cannot be read: ${why}`);
 async function bytesOf(file: Blob, from: number, to: number): Promise<Uint8Array> {
-    const bytes = new Uint8Array(await file.slice(from, to).arrayBuffer());
-    if (bytes.length !== to - from) throw new Refusal("UNKNOWN_RESOURCE", "The file cannot be read: it has become shorter while it was sent.");
+    let bytes: Uint8Array;
+    try {
+        bytes = new Uint8Array(await file.slice(from, to).arrayBuffer());
+    } catch (error) {
+        throw unreadable(error instanceof Error ? error.message : String(error)); // moved or deleted since it was chosen
+    }
+    if (bytes.length !== to - from) throw unreadable("it has become shorter while it was sent.");
     return bytes;
 }
 async function hashOf(file: Blob): Promise<Uint8Array> {
@@ -47,6 +53,23 @@ class Window {
     }
     change(): Promise<void> {
         return new Promise((resolve) => (this.wake = resolve));
+    }
+    /** Sends when it is this upload's turn: uploads share the data lane chunk by chunk. False if the upload has ended. */
+    inTurn(session: Session, send: () => boolean): Promise<boolean> {
+        return new Promise((resolve, reject) => {
+            const withdraw = session.onRoom(() => {
+                try {
+                    resolve(!this.ended && send());
+                } catch (error) {
+                    reject(error);
+                }
+            });
+            this.wake = () => {
+                if (!this.ended) return;
+                withdraw();
+                resolve(false);
+            };
+        });
     }
 }
 
@@ -79,12 +102,13 @@ export async function upload(session: Session, held: Held, service: string, reso
             const end = Math.min(sent + CHUNK_MAX, to);
             const chunk = await bytesOf(file, sent, end);
             const from = sent;
-            if (window.ended || !session.turn(() => session.core.commands.sendChunk(id, from, chunk))) continue;
+            if (window.ended || !(await window.inTurn(session, () => session.turn(() => session.core.commands.sendChunk(id, from, chunk))))) continue;
             sent = end;
-            options.onProgress?.(sent, file.size);
+            const { onProgress } = options;
+            if (onProgress !== undefined) session.later(() => onProgress(end, file.size));
         }
     } catch (error) {
-        window.finish(error instanceof Refusal ? error : new Refusal("UNKNOWN_RESOURCE", `The file cannot be read: ${error instanceof Error ? error.message : String(error)}`));
+        window.finish(error instanceof Refusal ? error : unreadable(error instanceof Error ? error.message : String(error)));
     } finally {
         options.signal?.removeEventListener("abort", onAbort);
         session.credits.delete(id);

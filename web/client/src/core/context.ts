@@ -80,6 +80,10 @@ export class SignalMarks {
     forget(entity: string): void {
         this.newest.delete(entity);
     }
+    /** All of a connection that is lost, also of entities that it never told of. The count goes on. */
+    forgetAll(): void {
+        this.newest.clear();
+    }
     of(entity: string): number {
         return this.newest.get(entity) ?? 0;
     }

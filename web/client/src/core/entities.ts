@@ -67,10 +67,8 @@ export class Entities {
         this.promised = 0;
         this.moving.clear();
         this.busy.clear();
-        for (const [id, one] of gone) {
-            this.parts.context.marks.forget(id);
-            if (there(one) && one.facts.ready) this.tell("left", one, true);
-        }
+        this.parts.context.marks.forgetAll();
+        for (const one of gone.values()) if (there(one) && one.facts.ready) this.tell("left", one, true);
     }
     onProfile(registration: Registration, profile: Uint8Array): void {
         let basic: proto.BasicProfile | undefined;

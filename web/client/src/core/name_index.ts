@@ -5,31 +5,44 @@ import { alternatives, folded, inQuotes, nearNames } from "../wire/values.js";
 const SHORTEST_PREFIX = 4;
 const SHOWN = 8;
 
+/** Where it is among these, which are in order, or would be. */
+function placeOf(ids: readonly string[], id: string): number {
+    let [from, to] = [0, ids.length];
+    while (from < to) {
+        const middle = (from + to) >> 1;
+        if ((ids[middle] as string) < id) from = middle + 1;
+        else to = middle;
+    }
+    return from;
+}
+
 /**
  * What people call the entities that are there: a name, "Name#2" (the second of that name, in order of UUID), a UUID, or a
  * beginning of it. Those that are not ready are meant only if no ready one is.
  */
 export class NameIndex {
     private readonly names = new Map<string, { readonly name: string; readonly ready: boolean }>();
-    private readonly ready = new Map<string, Set<string>>(); // name -> UUIDs
-    private readonly unready = new Map<string, Set<string>>();
+    private readonly ready = new Map<string, string[]>(); // name -> UUIDs, in order
+    private readonly unready = new Map<string, string[]>();
 
     put(id: string, name: string, ready: boolean): void {
+        const before = this.names.get(id);
+        if (before !== undefined && before.name === name && before.ready === ready) return;
         this.remove(id);
         this.names.set(id, { name, ready });
         const names = ready ? this.ready : this.unready;
         const same = names.get(name);
-        if (same === undefined) names.set(name, new Set([id]));
-        else same.add(id);
+        if (same === undefined) names.set(name, [id]);
+        else same.splice(placeOf(same, id), 0, id);
     }
     remove(id: string): void {
         const one = this.names.get(id);
         if (one === undefined) return;
         this.names.delete(id);
         const names = one.ready ? this.ready : this.unready;
-        const same = names.get(one.name);
-        same?.delete(id);
-        if (same?.size === 0) names.delete(one.name);
+        const same = names.get(one.name) ?? [];
+        if (same.length <= 1) names.delete(one.name);
+        else same.splice(placeOf(same, id), 1);
     }
     clear(): void {
         this.names.clear();
@@ -39,8 +52,8 @@ export class NameIndex {
     ids(): string[] {
         return [...this.names.keys()].sort();
     }
-    private called(name: string, ready: boolean): string[] {
-        return [...((ready ? this.ready : this.unready).get(name) ?? [])].sort();
+    private called(name: string, ready: boolean): readonly string[] {
+        return (ready ? this.ready : this.unready).get(name) ?? [];
     }
 
     /** The shortest name that means only this entity. */
@@ -49,7 +62,7 @@ export class NameIndex {
         if (one === undefined) return id;
         const same = this.called(one.name, one.ready);
         if (!one.ready) return same.length > 1 || this.called(one.name, true).length > 0 ? id.slice(0, SHOWN) : one.name;
-        return same.length === 1 ? one.name : `${one.name}#${same.indexOf(id) + 1}`;
+        return same.length === 1 ? one.name : `${one.name}#${placeOf(same, id) + 1}`;
     }
 
     /** The one entity that is meant. Throws UNKNOWN_ENTITY with near names, AMBIGUOUS_ENTITY with the candidates. */
@@ -72,7 +85,7 @@ export class NameIndex {
         if (this.names.has(text)) return [text];
 
         const ready = this.called(text, true);
-        if (ready.length > 0 && readyFirst) return ready;
+        if (ready.length > 0 && readyFirst) return [...ready];
         const same = [...ready, ...this.called(text, false)];
         if (same.length > 0) return same;
 
@@ -87,7 +100,7 @@ export class NameIndex {
             }
         }
         if (text.length >= SHORTEST_PREFIX) {
-            const begun = this.ids().filter((id) => id.startsWith(low));
+            const begun = [...this.names.keys()].filter((id) => id.startsWith(low)).sort();
             if (begun.length > 0) return begun;
         }
         const alike = [...this.names].filter(([, one]) => folded(one.name) === low);

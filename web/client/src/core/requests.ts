@@ -60,6 +60,7 @@ type Of<K extends Kind> = Pending<Extract<What, { kind: K }>>;
  */
 export class Requests {
     private readonly pending = new Map<string, Pending>();
+    private readonly byEntity = new Map<string, Set<Pending>>();
 
     constructor(
         private readonly now: () => number,
@@ -72,14 +73,19 @@ export class Requests {
         return `${kind} ${id}`;
     }
     await(id: Id, what: What, of: { entity?: string; lease?: LeaseNumber; sequence?: number; deadline?: number }): void {
-        this.pending.set(Requests.key(what.kind, id), {
+        this.take(what.kind, id); // one of a kind
+        const one: Pending = {
             id,
             entity: of.entity ?? "",
             lease: of.lease ?? NO_LEASE,
             sequence: of.sequence ?? 0,
             deadline: of.deadline ?? this.now() + this.timeoutMs,
             what,
-        });
+        };
+        this.pending.set(Requests.key(what.kind, id), one);
+        const same = this.byEntity.get(one.entity);
+        if (same === undefined) this.byEntity.set(one.entity, new Set([one]));
+        else same.add(one);
     }
     find<K extends Kind>(kind: K, id: Id): Of<K> | undefined {
         return this.pending.get(Requests.key(kind, id)) as Of<K> | undefined;
@@ -87,7 +93,11 @@ export class Requests {
     /** To be answered by whoever takes it. */
     take<K extends Kind>(kind: K, id: Id): Of<K> | undefined {
         const one = this.find(kind, id);
-        if (one !== undefined) this.pending.delete(Requests.key(kind, id));
+        if (one === undefined) return undefined;
+        this.pending.delete(Requests.key(kind, id));
+        const same = this.byEntity.get(one.entity);
+        same?.delete(one as Pending);
+        if (same?.size === 0) this.byEntity.delete(one.entity);
         return one;
     }
     /** Whether it waited. */
@@ -102,14 +112,17 @@ export class Requests {
         if (refusal !== undefined) this.refused(one.entity, one.lease, refusal);
         return true;
     }
+    private static inOrder(some: Iterable<Pending>): Pending[] {
+        return [...some].sort((a, b) => ORDER.indexOf(a.what.kind) - ORDER.indexOf(b.what.kind));
+    }
     all(): Pending[] {
-        return [...this.pending.values()].sort((a, b) => ORDER.indexOf(a.what.kind) - ORDER.indexOf(b.what.kind));
+        return Requests.inOrder(this.pending.values());
     }
     of(entity: string): Pending[] {
-        return this.all().filter((one) => one.entity === entity);
+        return Requests.inOrder(this.byEntity.get(entity) ?? []);
     }
     bySequence(sequence: number, entity: string): Pending | undefined {
-        for (const one of this.pending.values()) if (sequence !== 0 && one.sequence === sequence && one.entity === entity) return one;
+        for (const one of this.byEntity.get(entity) ?? []) if (sequence !== 0 && one.sequence === sequence) return one;
         return undefined;
     }
     due(now: number): Pending | undefined {

@@ -40,11 +40,15 @@ function misfit(output: Parameter, input: Parameter): string {
     if (output.units !== input.units && output.units !== "" && input.units !== "") return `${output.units} is not ${input.units}`;
     return "";
 }
-function merged(steps: readonly StepReport[], changed: StepReport): StepReport[] {
-    const at = steps.findIndex(({ step }) => step === changed.step);
-    if (at < 0) return [...steps, changed].sort((a, b) => a.step - b.step);
-    // What the service says of it does not travel.
-    return steps.map((step, i) => (i === at ? { ...changed, compensation: step.compensation, called: step.called } : step));
+function merged(steps: readonly StepReport[], changed: readonly StepReport[]): readonly StepReport[] {
+    if (changed.length === 0) return steps;
+    const all = new Map(steps.map((step) => [step.step, step]));
+    for (const one of changed) {
+        const known = all.get(one.step);
+        // What the service says of it does not travel.
+        all.set(one.step, known === undefined ? one : { ...one, compensation: known.compensation, called: known.called });
+    }
+    return [...all.values()].sort((a, b) => a.step - b.step);
 }
 
 /** Runs of global services: which were asked for, and their state. A report never leaves a final state. */
@@ -169,11 +173,12 @@ export class Runs {
             problems: [],
             reason: undefined,
         };
-        this.runs.set(id, { master, report, sequence: 0n });
-        this.open.add(id);
+        // Before anything is noted: a service that cannot be written must not leave a run open.
         const sequence = context.send(order.master, "RUN", master.lease, {
             collaboration: { runId: fromHex(id), service: fromGlobalService(order.service), participants, checkOnly: order.checkOnly, askedAtMs: BigInt(Math.round(order.askedAtMs)) },
         });
+        this.runs.set(id, { master, report, sequence: 0n });
+        this.open.add(id);
         requests.await(id, { kind: "startRun" }, { ...master, sequence });
         server.beatNow();
         server.pace();
@@ -201,11 +206,9 @@ export class Runs {
         for (const one of requests.of(entity)) if (one.what.kind === "askAfterRuns") one.what.runs.delete(id);
         if (event.sequence <= entry.sequence) return; // a duplicate
         entry.sequence = event.sequence;
-        let steps = report.steps;
-        for (const status of event.steps) {
-            if (status.step >= 0 && status.step < STEPS_MAX) steps = merged(steps, toStepReport(status));
-            else ++context.malformed;
-        }
+        const known = event.steps.filter(({ step }) => step >= 0 && step < STEPS_MAX);
+        context.malformed += event.steps.length - known.length;
+        const steps = merged(report.steps, known.map(toStepReport));
         entry.report = {
             ...report,
             state,
@@ -321,8 +324,7 @@ export class Runs {
             pending.what.runs.delete(id);
             const entry = this.runs.get(id) as Entry;
             const recorded = toRunRecord(record);
-            let steps = entry.report.steps;
-            for (const step of recorded.steps) if (step.step >= 0 && step.step < STEPS_MAX) steps = merged(steps, step);
+            const steps = merged(entry.report.steps, recorded.steps.filter(({ step }) => step >= 0 && step < STEPS_MAX));
             entry.report = { ...entry.report, steps, elapsedMs: recorded.durationMs, progress: state === "SUCCEEDED" ? 1 : entry.report.progress };
             this.finish(id, state, recorded.reason);
         }

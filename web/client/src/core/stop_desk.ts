@@ -14,6 +14,9 @@ const RESEND_PERIOD_MS = 250;
 /** While receipts of it come it waits for FIRST_RESEND_MS without one, and no longer than this. */
 const PATIENCE_MS = 1000;
 const LISTED_AT_ONCE = 4096; // half of what a server takes
+/** Progress of more entities than these is told at most once in a while, because each time all of them are told. */
+const TOLD_AT_ONCE = 16;
+const TOLD_EVERY_MS = 20;
 
 // Of axon.proto.StopReceipt.Stage and Absence.
 const SERVER = 1;
@@ -43,6 +46,12 @@ interface Order {
     /** The newest receipt. */
     heardAt: number;
     readonly receipts: Map<string, Open>;
+    /** How many of these are confirmed, and how many of those at rest: nobody counts them again for each receipt. */
+    confirmed: number;
+    atRest: number;
+    /** News that onProgress has not been told yet: when it will be. */
+    tellAt: number;
+    toldAt: number;
     /** On the Entity Manager's clock: the newest receipt. */
     readonly saidAt: Map<string, bigint>;
     /** Entities that a stop of everything has reached. */
@@ -146,6 +155,10 @@ export class StopDesk {
             resend: Infinity,
             heardAt: given,
             receipts: new Map(),
+            confirmed: 0,
+            atRest: 0,
+            tellAt: Infinity,
+            toldAt: -Infinity,
             saidAt: new Map(),
             reached: undefined,
             acceptedMs: undefined,
@@ -244,7 +257,11 @@ export class StopDesk {
         if (order === undefined || (!order.everything && !order.receipts.has(entity))) return true;
         const now = this.context.now();
         order.heardAt = now;
-        this.take(order, this.add(order, entity), incoming, now - order.given);
+        const receipt = this.add(order, entity);
+        const before = [Number(confirmed(receipt)), Number(atRest(receipt))] as const;
+        this.take(order, receipt, incoming, now - order.given);
+        order.confirmed += Number(confirmed(receipt)) - before[0];
+        order.atRest += Number(atRest(receipt)) - before[1];
         this.tell(order);
         this.finishIfSettled(order);
         return true;
@@ -326,12 +343,12 @@ export class StopDesk {
         return order.reached !== undefined && order.receipts.size >= order.reached;
     }
     private finishIfSettled(order: Order): void {
-        const all = [...order.receipts.values()];
-        if (!all.every(confirmed) || (order.everything && !this.allKnown(order))) return;
-        if (!all.every(atRest) && this.context.now() < order.restsBy) return;
+        if (order.confirmed < order.receipts.size || (order.everything && !this.allKnown(order))) return;
+        if (order.atRest < order.receipts.size && this.context.now() < order.restsBy) return;
         this.finish(order);
     }
     private finish(order: Order): void {
+        if (Number.isFinite(order.tellAt)) this.tellNow(order);
         if (!this.orders.delete(order.sequence)) return;
         order.done(order.unknown ?? this.receiptsOf(order));
     }
@@ -346,12 +363,20 @@ export class StopDesk {
         return all;
     }
     private tell(order: Order): void {
-        if (order.onProgress !== undefined && this.orders.has(order.sequence)) order.onProgress([...order.receipts.values()].map(shown));
+        if (order.onProgress === undefined || !this.orders.has(order.sequence)) return;
+        const now = this.context.now();
+        if (order.receipts.size <= TOLD_AT_ONCE || now >= order.toldAt + TOLD_EVERY_MS) this.tellNow(order);
+        else order.tellAt = Math.min(order.tellAt, order.toldAt + TOLD_EVERY_MS);
+    }
+    private tellNow(order: Order): void {
+        order.tellAt = Infinity;
+        order.toldAt = this.context.now();
+        order.onProgress?.([...order.receipts.values()].map(shown));
     }
 
     nextDeadline(): number {
         let next = Infinity;
-        for (const { deadline, resend } of this.orders.values()) next = Math.min(next, deadline, resend);
+        for (const { deadline, resend, tellAt } of this.orders.values()) next = Math.min(next, deadline, resend, tellAt);
         return next;
     }
     onTimer(): void {
@@ -359,9 +384,10 @@ export class StopDesk {
         for (const order of [...this.orders.values()]) if (this.orders.has(order.sequence)) this.onDue(order, now);
     }
     private onDue(order: Order, now: number): void {
-        const all = [...order.receipts.values()];
+        if (now >= order.tellAt) this.tellNow(order);
         if (now >= order.deadline) {
-            const comesToRest = all.every(confirmed) && !all.every(atRest) && now < order.restsBy;
+            const { size } = order.receipts;
+            const comesToRest = order.confirmed === size && order.atRest < size && now < order.restsBy;
             if (!comesToRest) return this.finish(order);
             order.deadline = order.restsBy;
         }
@@ -376,11 +402,11 @@ export class StopDesk {
         // Of everything only those that are missing, once all that it has reached are known.
         let ids: string[] = [];
         if (!order.everything || this.allKnown(order)) {
-            ids = all.filter((one) => !confirmed(one)).map(({ entity }) => entity);
+            ids = [...order.receipts.values()].filter((one) => !confirmed(one)).map(({ entity }) => entity);
             if (ids.length === 0) return; // they come to rest
         }
         this.send(order, "signal", ids, true);
-        if (this.link.facts.signalLane === "own") this.send(order, "data", ids, true);
+        if (this.link.signalLane === "own") this.send(order, "data", ids, true);
     }
     /** Ends every open order with what is known: the client is being closed. */
     endOrders(): void {

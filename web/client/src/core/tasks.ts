@@ -93,8 +93,8 @@ export class Tasks {
             server.beatNow();
             server.pace();
         } catch (error) {
-            if (!(error instanceof Refusal)) throw error;
-            this.finish(id, "REFUSED", error);
+            // Whatever it is, the task has not been sent: it must not stay open.
+            this.finish(id, "REFUSED", error instanceof Refusal ? error : new Refusal("MALFORMED", `The arguments cannot be sent: ${error instanceof Error ? error.message : String(error)}`));
         }
         return id;
     }

@@ -4,6 +4,7 @@
 import { Glacier2, Ice } from "ice";
 import { Axon } from "../../gen/slice/frontendcomm.js";
 import { Axon as Common } from "../../gen/slice/commutil.js";
+import { PacedLane } from "../paced_lane.js";
 import { Refusal, refusalOf } from "../refusal.js";
 import type { Connection, ConnectionEvents, Facts, Header, Lane, Login, Registration, Status, StopCause, Transport } from "../transport.js";
 import type { Presence, Role, Sender } from "../types.js";
@@ -17,10 +18,12 @@ type Head = Common.CommUtil.Header;
 
 const CONNECT_MS = 3000;
 const LEAVE_MS = 1000;
-/** An own signal lane at an endpoint that the server named is given up after this; stops then share the lane of data. */
+/** A try to open the signal lane at an endpoint that the server named is given up after this. */
 const SIGNAL_MS = 2000;
 /** Signals that are not written yet; beyond that the connection ends. */
 const SIGNALS_MAX = 16_384;
+/** At most this many bytes of data are on their way at a time, so that a signal on the same connection has only these before it: two chunks of uploads. */
+const DATA_BYTES_MAX = 2 * (64 + 1) * 1024;
 /** At most this many bytes are in a router at a time, because its queues have no bound. */
 const ROUTED_BYTES_MAX = 256 * 1024;
 /** A heartbeat through a router that wants an answer gets one within this, or the server behind it is gone. */
@@ -207,6 +210,22 @@ async function openLane({ lane, target, login, token, timeoutMs, events, closed 
     }
 }
 
+/** Opens the signal lane of a session. From then on its end is that of the session, for the server too; before, only of the try. */
+async function attach(order: LaneOrder): Promise<LaneEnd> {
+    let ended = "";
+    let attached = false;
+    const lane = await openLane({ ...order, closed: (why) => (attached ? order.closed(why) : void (ended = why)) });
+    try {
+        await lane.session.attachSignalLane(order.token, lane.callback);
+        if (ended !== "") throw new Refusal("NOT_CONNECTED", ended);
+        attached = true;
+        return lane;
+    } catch (error) {
+        lane.end();
+        throw translate(error, endpointAddress(order.target.endpoint));
+    }
+}
+
 /** Where the signal lane is; undefined if it has to share the lane of data. */
 function signalEndpoint(told: string, login: Login, { endpoint, router }: Target): Endpoint | undefined {
     if (router !== undefined) return endpoint;
@@ -218,50 +237,50 @@ function signalEndpoint(told: string, login: Login, { endpoint, router }: Target
 }
 
 class IceConnection implements Connection {
-    private unsentMessages = 0;
-    private unsentBytes = 0;
+    private readonly lane: PacedLane;
     private unsentSignals = 0;
-    /** Of a router: what waits until what was sent before has been answered. */
-    private readonly waiting: { readonly bytes: number; readonly send: () => PromiseLike<void> }[] = [];
-    private inRouter = 0;
     private asked = false;
     private over = false;
 
     constructor(
         readonly facts: Facts,
         private readonly data: LaneEnd,
-        private readonly signal: LaneEnd | undefined,
+        private signal: LaneEnd | undefined,
+        /** Opens the signal lane; undefined if there is none to be had. */
+        private readonly openSignal: (() => Promise<LaneEnd>) | undefined,
         private readonly routed: boolean,
+        /**
+         * Data counts until the server has answered it, and not only until it is written: what is written to a WebSocket waits in
+         * the browser, which may tell nothing of it, and then in the system.
+         */
+        private readonly answered: boolean,
         private readonly close: (why: string) => void,
-    ) {}
+    ) {
+        this.lane = new PacedLane(routed ? ROUTED_BYTES_MAX : DATA_BYTES_MAX, (error) => this.fail(translate(error, "the server").message));
+    }
 
+    get signalLane(): "own" | "shared" {
+        return this.signal === undefined ? "shared" : "own";
+    }
+    get signalOffered(): boolean {
+        return this.openSignal !== undefined;
+    }
+    async attachSignalLane(): Promise<void> {
+        if (this.signal !== undefined || this.openSignal === undefined || this.over) return;
+        const lane = await this.openSignal();
+        if (this.over) return lane.end();
+        this.signal = lane;
+    }
     backlog(): { messages: number; bytes: number } {
-        return { messages: this.unsentMessages, bytes: this.unsentBytes };
+        return this.lane.backlog();
+    }
+    onRoom(call: () => void): () => void {
+        return this.lane.onRoom(call);
     }
     private post(bytes: number, call: (session: Session) => PromiseLike<void>): void {
-        if (this.over) return;
-        ++this.unsentMessages;
-        this.unsentBytes += bytes;
-        const send = (): PromiseLike<void> => call(this.routed ? this.data.twoway : this.data.oneway);
-        const done = (): void => {
-            --this.unsentMessages;
-            this.unsentBytes -= bytes;
-        };
-        if (!this.routed) return this.watch(send, done);
-        this.waiting.push({ bytes, send: () => Promise.resolve(send()).finally(done) });
-        this.pump();
+        this.lane.post(bytes, () => call(this.answered ? this.data.twoway : this.data.oneway));
     }
-    private pump(): void {
-        while (this.waiting[0] !== undefined && (this.inRouter === 0 || this.inRouter + this.waiting[0].bytes <= ROUTED_BYTES_MAX)) {
-            const { bytes, send } = this.waiting.shift() as (typeof this.waiting)[number];
-            this.inRouter += bytes;
-            this.watch(send, () => {
-                this.inRouter -= bytes;
-                if (!this.over) this.pump();
-            });
-        }
-    }
-    /** A message that cannot be sent ends the connection: nothing may be lost unnoticed. */
+    /** A message that cannot be sent ends the connection: nothing may be lost unnoticed. Never within the caller's turn. */
     private watch(send: () => PromiseLike<void>, done: () => unknown): void {
         const fail = (error: unknown): void => {
             done();
@@ -270,7 +289,7 @@ class IceConnection implements Connection {
         try {
             Promise.resolve(send()).then(done, fail);
         } catch (error) {
-            fail(error);
+            queueMicrotask(() => fail(error));
         }
     }
     private fail(why: string): void {
@@ -279,7 +298,8 @@ class IceConnection implements Connection {
     }
     private signalOn(lane: Lane, call: (session: Session) => PromiseLike<void>): void {
         if (this.over) return;
-        if (++this.unsentSignals > SIGNALS_MAX) return this.fail("the server does not read its signals");
+        if (this.unsentSignals >= SIGNALS_MAX) return queueMicrotask(() => this.fail("the server does not read its signals"));
+        ++this.unsentSignals;
         const end = lane === "signal" ? (this.signal ?? this.data) : this.data;
         this.watch(
             () => call(end.oneway),
@@ -323,6 +343,7 @@ class IceConnection implements Connection {
     async leave(): Promise<void> {
         if (this.over) return;
         this.over = true;
+        this.lane.end();
         await new Promise<void>((resolve) => {
             const late = setTimeout(resolve, LEAVE_MS);
             this.data.connection.setCloseCallback(() => {
@@ -339,7 +360,7 @@ class IceConnection implements Connection {
         this.end();
     }
     private end(): void {
-        this.waiting.length = 0;
+        this.lane.end();
         this.signal?.end();
         this.data.end();
     }
@@ -371,25 +392,16 @@ export class IceTransport implements Transport {
             connection?.drop();
             if (connection !== undefined) events.closed(why);
         };
-        const order = { login, events, closed, timeoutMs: login.timeoutMs };
-        const data = await openLane({ ...order, lane: "data", target, token: "" });
+        const order = { login, events, timeoutMs: login.timeoutMs };
+        const data = await openLane({ ...order, lane: "data", target, token: "", closed });
         let signal: LaneEnd | undefined;
         try {
             const facts = await data.session.setCallback(data.callback);
             const where = signalEndpoint(facts.signalEndpoint, login, target);
-            if (where !== undefined) {
-                const certain = target.router !== undefined || login.signal !== undefined || where.scheme === "tcp";
-                try {
-                    const timeoutMs = certain ? login.timeoutMs : Math.min(SIGNAL_MS, login.timeoutMs);
-                    signal = await openLane({ ...order, timeoutMs, lane: "signal", target: { endpoint: where, router: target.router }, token: facts.token });
-                    await signal.session.attachSignalLane(facts.token, signal.callback);
-                } catch (error) {
-                    signal?.end();
-                    signal = undefined;
-                    // The server may name an endpoint that a browser behind a proxy cannot reach: stops then share the lane of data.
-                    if (certain) throw error;
-                }
-            }
+            const certain = where !== undefined && (target.router !== undefined || login.signal !== undefined || where.scheme === "tcp");
+            const openSignal = where === undefined ? undefined : (): Promise<LaneEnd> => attach({ ...order, timeoutMs: certain ? login.timeoutMs : Math.min(SIGNAL_MS, login.timeoutMs), lane: "signal", target: { endpoint: where, router: target.router }, token: facts.token, closed });
+            // The server may name an endpoint that a browser behind a proxy cannot reach: nobody waits for that one here.
+            if (certain) signal = await openSignal?.();
             if (over !== "") throw new Refusal("NOT_CONNECTED", `the connection ended during the log-in: ${over}`);
             connection = new IceConnection(
                 {
@@ -397,11 +409,12 @@ export class IceTransport implements Transport {
                     entities: facts.entities,
                     watchdogBusyMs: facts.watchdogBusyMs,
                     watchdogIdleMs: facts.watchdogIdleMs,
-                    signalLane: signal === undefined ? "shared" : "own",
                 },
                 data,
                 signal,
+                openSignal,
                 target.router !== undefined,
+                target.router !== undefined || target.endpoint.scheme !== "tcp",
                 closed,
             );
             return connection;

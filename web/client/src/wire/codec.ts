@@ -16,7 +16,10 @@ export class Malformed extends Error {}
 
 /** Messages within messages: twice what the deepest of api/proto has. */
 const DEPTH_MAX = 24;
-/** Submessages, texts and numbers that are not packed, in one message: a few bytes on the wire may become a large object. */
+/**
+ * Submessages, texts and numbers in one message, but for packed ones of a fixed size: a few bytes on the wire may become a large
+ * object.
+ */
 const ELEMENTS_MAX = 65_536;
 
 type Plain = Record<string, unknown>;
@@ -71,8 +74,8 @@ class Reader {
     get done(): boolean {
         return this.at >= this.bytes.length;
     }
-    spend(): void {
-        if (--this.budget.left < 0) throw new Malformed(`a message with more than ${ELEMENTS_MAX} elements`);
+    spend(count = 1): void {
+        if ((this.budget.left -= count) < 0) throw new Malformed(`a message with more than ${ELEMENTS_MAX} elements`);
     }
     /** As 64 bits without sign. */
     varint(): bigint {
@@ -142,6 +145,19 @@ class Reader {
                 return this.take(this.size()).slice();
         }
     }
+    /** How many numbers a packed list has, before any of them is read. Those of a fixed size take no more memory than bytes. */
+    count(kind: string): number {
+        const rest = this.bytes.length - this.at;
+        const size = kind === "double" ? 8 : kind === "float" ? 4 : 0;
+        if (size > 0) {
+            if (rest % size !== 0) throw new Malformed("a list of numbers that ends within one");
+            return rest / size;
+        }
+        let count = 0;
+        for (let i = this.at; i < this.bytes.length; ++i) if ((this.bytes[i] as number) < 0x80) ++count;
+        this.spend(count);
+        return count;
+    }
     private text(): string {
         const part = this.take(this.size());
         try {
@@ -195,7 +211,9 @@ function read(name: keyof Messages, from: Reader, depth: number): Plain {
         const [, key, kind, often, of] = row;
         if (packed) {
             const values = from.inner();
-            while (!values.done) (message[key] as unknown[]).push(values.value(kind));
+            const list = message[key] as unknown[];
+            for (let left = values.count(kind); left > 0; --left) list.push(values.value(kind));
+            if (!values.done) throw new Malformed("a list of numbers that ends within one");
             continue;
         }
         if (often === "*" || kind === "message") from.spend();

@@ -104,8 +104,10 @@ function described(value: Value): string {
             return `the DBL ${value}`;
         case "boolean":
             return `the BOOL ${value}`;
-        default:
+        case "string":
             return `the STR ${inQuotes(value)}`;
+        default:
+            return `what is no value: ${inQuotes(String(value))}`; // of a program without types
     }
 }
 const wrongType = (meta: Parameter, found: string): Refusal => new Refusal("WRONG_TYPE", `${inQuotes(meta.name)} takes ${describeValues(meta)}; found ${found}`);
@@ -181,6 +183,9 @@ export function acceptValue(meta: Parameter, given: Value): Value {
 
 /** What an argument becomes on the wire. Throws a Refusal that says what the parameter takes. */
 export function toParam(service: Service, argument: Argument): Init<proto.Param> {
+    if (typeof argument?.name !== "string" || !Array.isArray(argument.values)) {
+        throw new Refusal("MALFORMED", "An argument has a name and a list of values: { name: \"Distance\", values: [100] }.");
+    }
     const meta = findParameter(service, argument.name);
     if (argument.values.length === 0) throw wrongType(meta, "no value");
     if (argument.values.length > 1 && !meta.multiple) throw wrongType(meta, `${argument.values.length} values where one is allowed`);

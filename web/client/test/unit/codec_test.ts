@@ -69,6 +69,55 @@ test("Hostile bytes are refused and leave nothing behind", () => {
     assert.equal(({} as Record<string, unknown>)["values"], undefined);
 });
 
+test("Packed numbers are counted before memory is taken for them", () => {
+    const length = (count: number): number[] => {
+        const all: number[] = [];
+        for (; count > 0x7f; count = Math.floor(count / 128)) all.push((count % 128) | 0x80);
+        return [...all, count];
+    };
+    const packed = (field: number, content: Uint8Array, says = content.length): Uint8Array => {
+        const head = [(field << 3) | 2, ...length(says)];
+        const all = new Uint8Array(head.length + content.length);
+        all.set(head);
+        all.set(content, head.length);
+        return all;
+    };
+    assert.throws(() => decode("Vector", packed(1, bytes(1, 2, 3), 0x7fff_ffff)), Malformed); // 2 GiB that are not there
+    assert.throws(() => decode("Vector", packed(1, new Uint8Array(12))), Malformed); // one and a half
+    assert.throws(() => decode("Scan", packed(4, new Uint8Array(7))), Malformed);
+    const largest = new Uint8Array(4 * 1024 * 1024);
+    assert.equal(decode("Vector", packed(1, largest.subarray(0, 8 * 1000))).values.length, 1000);
+    // One byte of it becomes an entry of a list.
+    const hostile = packed(3, largest);
+    const before = process.memoryUsage().heapUsed;
+    assert.throws(() => decode("InvitationAnswer", hostile), Malformed);
+    assert.ok(process.memoryUsage().heapUsed - before < 8 * 1024 * 1024, "nothing was taken for them");
+    const twice = decode("Vector", Uint8Array.from([...encode("Vector", { values: [1, 2] }), ...encode("Vector", { values: [3] })]));
+    assert.deepEqual(twice.values, [1, 2, 3]);
+});
+
+test("Random bytes within messages that are otherwise right never do more than fail", () => {
+    let seed = 20261126;
+    const next = (): number => (seed = (seed * 1103515245 + 12345) & 0x7fffffff) >> 8;
+    const right = [
+        encode("ToClient", { sample: { stream: "laser", sequence: 1n, scan: { ranges: [1, 2, 3, 4], angles: [0, 1] } } }),
+        encode("ToClient", { sample: { stream: "joints", sequence: 2n, vector: { values: [1, 2, 3], units: "deg" } } }),
+        encode("ToClient", { task: { taskId: new Uint8Array(16), state: 3, results: [{ name: "a", values: [{ int: 5n }, { str: "x" }] }] } }),
+    ];
+    let refused = 0;
+    for (let i = 0; i < 20_000; ++i) {
+        const one = Uint8Array.from(right[i % right.length] as Uint8Array);
+        for (let changes = 1 + (next() % 3); changes > 0; --changes) one[next() % one.length] = next() & 0xff;
+        try {
+            decode("ToClient", next() % 4 === 0 ? one.subarray(0, next() % one.length) : one);
+        } catch (error) {
+            assert.ok(error instanceof Malformed, String(error));
+            ++refused;
+        }
+    }
+    assert.ok(refused > 1000 && refused < 20_000, `${refused} were refused`);
+});
+
 test("Random bytes never do more than fail", () => {
     let seed = 12345;
     const next = (): number => (seed = (seed * 1103515245 + 12345) & 0x7fffffff) >> 8;

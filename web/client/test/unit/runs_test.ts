@@ -41,6 +41,27 @@ test("A run gives the master a sealed sub-lease for each participant, and report
     assert.deepEqual([(await run.wait()).state, run.report().reason?.message], ["FAILED", "no grip"]);
 });
 
+test("A service that cannot be written leaves no run open", async () => {
+    const { clock, server, client } = await both();
+    const broken = { ...SERVICE, steps: [step(1, "drive", { parameters: [{ name: "Distance" }] }), step(2, "drive")] } as GlobalService;
+    assert.throws(() => client.runGlobal(broken, bindings, "Cyton"), TypeError);
+    assert.deepEqual(server.take(), []);
+    await clock.advance(4000);
+    assert.ok(server.beats() <= 2, "no run is open, so the heartbeats are slow");
+    assert.equal(client.runGlobal(SERVICE, bindings, "Cyton").report().state, "CHECKING");
+});
+
+test("One event may tell of every step, known and new", async () => {
+    const { server, client } = await both();
+    const run = client.runGlobal(SERVICE, bindings, "Cyton");
+    const { body } = server.message("collaboration");
+    const steps = [3, 1, 0, 1].map((one, i) => ({ step: one, entity: ROBOT, name: "PeopleBot", service: "drive", state: 3, progress: i / 10, endedS: -1 }));
+    const before = client.malformed;
+    server.say(ARM, { run: { runId: body.runId, sequence: 1n, state: 2, steps: [...steps, { step: -1 }, { step: 5000 }] } });
+    assert.deepEqual(run.report().steps.map(({ step: number, called, progress }) => [number, called, progress]), [[0, "go", 0.2], [1, "", 0.3], [3, "", 0]]);
+    assert.equal(client.malformed - before, 2);
+});
+
 test("A run is stopped by a stop of every participant", async () => {
     const { server, client } = await both();
     const run = client.runGlobal(SERVICE, bindings, "Cyton");

@@ -411,3 +411,148 @@ test("A log-in that is refused says so, and how to fix it", async () => {
     const denied = await refusal(connect({ transport: server, clock: new FakeClock(), server: "ws://lab:1" }));
     assert.deepEqual([denied.code, denied.message], ["PERMISSION_DENIED", "No session with the server at ws://lab:1: wrong user or password"]);
 });
+
+test("A task whose arguments cannot be read is refused, and nothing stays open", async () => {
+    const { clock, server, robot } = await held();
+    const mean = {
+        name: "Distance",
+        get values(): number[] {
+            throw new TypeError("of the program");
+        },
+    };
+    const refused = [[mean], [{ name: "Distance", values: [null] }], [{ name: "Distance" }], [undefined], [{ name: "Laps", values: "9" }], 5].map((args) => robot.run("Drive", args as never).report());
+    assert.deepEqual(refused.map(({ state }) => state), Array(6).fill("REFUSED"));
+    assert.deepEqual(refused.map(({ reason }) => reason?.code), ["MALFORMED", "WRONG_TYPE", "MALFORMED", "MALFORMED", "MALFORMED", "MALFORMED"]);
+    assert.equal(server.take().length, 0);
+    await clock.advance(4000);
+    assert.ok(server.beats() <= 2, "no task is open, so the heartbeats are slow");
+    assert.equal((await refusal(robot.set("Drive", { name: "Laps" } as never))).code, "MALFORMED");
+});
+
+test("What callbacks throw is reported, and the task, the upload and the heartbeats go on", async () => {
+    const { clock, server, client, robot, errors } = await held();
+    const oops = (): never => {
+        throw new TypeError("of the program");
+    };
+    const task = robot.run("Drive", [{ name: "Distance", values: [1] }]);
+    const { body } = server.message("task");
+    task.onUpdate(oops);
+    const seen: string[] = [];
+    task.onUpdate(({ state }) => seen.push(state));
+    client.onConnection(oops);
+    event(server, body.taskId, "RUNNING");
+    event(server, body.taskId, "SUCCEEDED");
+    assert.deepEqual([seen, task.report().state], [["QUEUED", "RUNNING", "SUCCEEDED"], "SUCCEEDED"]);
+    assert.equal(errors.length, 4);
+    const done = robot.upload("Drive", "Map", new Uint8Array(100_000), { onProgress: oops });
+    await settle();
+    await settle();
+    const offer = server.message("resourceOffer").body;
+    server.say(ROBOT, { resourceCredit: { transferId: offer.transferId, offset: 0n, window: 1_000_000n } });
+    for (let i = 0; i < 5; ++i) await settle();
+    server.say(ROBOT, { resourceDone: { transferId: offer.transferId, resource: "Map" } });
+    await done;
+    assert.equal(errors.length, 6);
+    server.take();
+    await clock.advance(4000);
+    assert.ok(server.beats() > 0);
+});
+
+test("A message that the library cannot handle is counted and reported, and ends nothing", async () => {
+    const { server, client, robot, errors } = await held();
+    const malformed = client.malformed;
+    server.events.status(undefined as never);
+    server.events.profile("joined", undefined as never, new Uint8Array(0));
+    server.events.entityMessage("data", undefined as never, new Uint8Array(0));
+    assert.deepEqual([client.malformed - malformed, errors.length], [3, 3]);
+    assert.deepEqual([client.connected, robot.lost], [true, undefined]);
+    server.status(ROBOT, { state: "BUSY", holder: ME, held: { epoch: 1, number: 1 } });
+    assert.equal(robot.entity().state, "BUSY");
+});
+
+test("An upload sends a chunk when it is its turn, and none after it was cancelled", async () => {
+    const { server, robot } = await held();
+    const stop = new AbortController();
+    const sent: number[] = [];
+    const done = refusal(robot.upload("Drive", "Map", new Uint8Array(200_000), { signal: stop.signal, onProgress: (count) => sent.push(count) }));
+    await settle();
+    await settle();
+    const offer = server.message("resourceOffer").body;
+    server.noRoom = [];
+    server.say(ROBOT, { resourceCredit: { transferId: offer.transferId, offset: 0n, window: 1_000_000n } });
+    for (let i = 0; i < 5; ++i) await settle();
+    assert.deepEqual([sent, server.noRoom.length, server.take().length], [[], 1, 0]);
+    server.noRoom.shift()?.();
+    for (let i = 0; i < 5; ++i) await settle();
+    assert.deepEqual([sent, server.noRoom.length], [[65_536], 1]);
+    stop.abort();
+    assert.equal((await done).code, "CANCELLED");
+    assert.deepEqual(server.noRoom, []);
+});
+
+test("A file that can no longer be read ends its upload in these words", async () => {
+    const { robot } = await held();
+    const gone = new Blob([new Uint8Array(10)]);
+    gone.slice = () => ({ arrayBuffer: () => Promise.reject(new Error("it was moved")) }) as unknown as Blob;
+    const why = await refusal(robot.upload("Drive", "Map", gone));
+    assert.deepEqual([why.code, why.message], ["UNKNOWN_RESOURCE", "The file cannot be read: it was moved"]);
+});
+
+test("If somebody else has logged in meanwhile, the session ends for good, and nothing is resumed under another name", async () => {
+    let user = "ann";
+    const { clock, server, client, robot, errors } = await held({ credentials: async () => ({ user, password: "a ticket" }) });
+    const said: ConnectionReport[] = [];
+    const lost: string[] = [];
+    client.onConnection((report) => said.push(report));
+    robot.onLost(({ code }) => lost.push(code));
+    const task = robot.run("Drive", [{ name: "Distance", values: [1] }]);
+    user = "ben"; // in another tab
+    server.take();
+    const logins = server.logins.length;
+    server.events.closed("the server was restarted");
+    await clock.advance(20_000);
+    assert.equal(server.logins.length, logins, "the other's ticket is not used");
+    assert.deepEqual([lost, task.report().state, client.held().length], [["NOT_CONNECTED"], "UNKNOWN", 0]);
+    const { kind, ended, nextTryMs } = client.connection();
+    assert.deepEqual([kind, ended?.code, nextTryMs], ["closed", "PERMISSION_DENIED", undefined]);
+    assert.match(ended?.message ?? "", /opened by "ann", and "ben" is logged in now/);
+    assert.equal(said.at(-1)?.ended, ended);
+    assert.equal((await refusal(client.checkOut("PeopleBot"))).code, "NOT_CONNECTED");
+    assert.deepEqual(server.take(), []);
+    await client.close();
+    assert.deepEqual(errors, []);
+});
+
+test("The same user goes on, also where the server has no users", async () => {
+    for (const user of ["ann", ""]) {
+        const { clock, server, client } = await world({ credentials: async () => ({ user, password: "another ticket" }) });
+        server.events.closed("away");
+        await clock.advance(150);
+        assert.deepEqual([client.connected, client.connection().ended], [true, undefined]);
+    }
+});
+
+test("What is known of a lost connection is not carried into the next one", async () => {
+    const { clock, server, client } = await world();
+    server.events.status({ entity: ARM, state: "IDLE", latched: false, stopGeneration: 77, holder: OTHER, held: { epoch: 1, number: 0 }, reason: "", orphaned: false, waiting: 0, stopLatencyUs: 0 });
+    server.receipt("33333333-0000-4000-8000-000000000003", 5, { stopGeneration: 88 }, OTHER.id); // of one that was never told of
+    server.events.closed("away");
+    await clock.advance(150);
+    server.join(ROBOT, "PeopleBot");
+    server.join("33333333-0000-4000-8000-000000000003", "Third", { stopGeneration: 1 });
+    server.take();
+    void client.stop(["Third"]);
+    assert.equal(server.stops()[0]?.head.stopGeneration, 1);
+});
+
+test("Names of many entities that are called the same are found in order of UUID", async () => {
+    const { server, client } = await world();
+    const id = (i: number): string => `33333333-0000-4000-8000-${String(i).padStart(12, "0")}`;
+    for (const i of [5, 3, 9, 1, 7]) server.join(id(i), "Swarm");
+    assert.deepEqual([1, 2, 3, 4, 5].map((n) => client.find(`Swarm#${n}`).id), [1, 3, 5, 7, 9].map(id));
+    assert.equal(client.label(id(7)), "Swarm#4");
+    server.events.profile("left", { entity: id(5), name: "", category: "", type: "" }, new Uint8Array(0));
+    assert.deepEqual([client.label(id(3)), client.label(id(7)), client.label(id(9))], ["Swarm#2", "Swarm#3", "Swarm#4"]);
+    assert.equal((await refusal(() => client.find("Swarm"))).code, "AMBIGUOUS_ENTITY");
+    assert.equal(client.find(id(9).toUpperCase()).id, id(9));
+});

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { type Receipt } from "../../dist/index.js";
+import { type Receipt, Refusal } from "../../dist/index.js";
 import { ARM, ME, OTHER, refusal, ROBOT, settle, world } from "./support.js";
 
 // Of axon.proto.StopReceipt.Stage.
@@ -174,4 +174,89 @@ test("Rearming says how it went", async () => {
     await settle();
     server.say(ROBOT, { reply: { requestId: server.message("rearm").body.requestId } });
     await done;
+});
+
+test("A signal lane that the server names is opened after the log-in, tried again until it is there, and then used", async () => {
+    const away = new Refusal("NOT_CONNECTED", "a firewall is before it");
+    const { server, client, clock } = await world({}, (one) => {
+        one.signalLane = "shared";
+        one.attachFails = [away, away, away];
+    });
+    const said: string[] = [];
+    client.onConnection(({ signalLane }) => said.push(signalLane));
+    assert.deepEqual([client.connected, client.connection().signalLane, server.attached], [true, "shared", 1]);
+    const first = client.stop(["PeopleBot"], { deadlineMs: 150 });
+    await clock.advance(150);
+    assert.deepEqual(server.stops().map(({ lane }) => lane), ["signal", "signal"]); // there is one connection: it is not sent twice
+    await first;
+    const at: number[] = [];
+    for (let ms = 150; ms < 10_000; ms += 50) {
+        server.events.heartbeat();
+        await clock.advance(50);
+        if (server.attached > 1 + at.length) at.push(ms + 50);
+    }
+    assert.deepEqual([at, said, client.connection().signalLane], [[1000, 3000, 7000], ["shared", "own"], "own"]);
+    server.take();
+    const second = client.stop(["PeopleBot"], { deadlineMs: 150 });
+    await clock.advance(150);
+    assert.deepEqual(server.stops().map(({ lane }) => lane), ["signal", "signal", "data"]);
+    await second;
+});
+
+test("The next connection begins without a signal lane, and opens its own", async () => {
+    const { server, client, clock } = await world({}, (one) => {
+        one.signalLane = "shared";
+        one.attachFails = [];
+    });
+    assert.equal(client.connection().signalLane, "own");
+    server.attachFails = [new Refusal("TIMED_OUT", "nobody answers")];
+    server.events.closed("either lane broke");
+    assert.equal(client.connection().signalLane, "shared");
+    await clock.advance(101);
+    assert.deepEqual([client.connected, client.connection().signalLane], [true, "shared"]);
+    await clock.advance(1000);
+    assert.equal(client.connection().signalLane, "own");
+    await client.close();
+    const tries = server.attached;
+    await clock.advance(5000);
+    assert.equal(server.attached, tries);
+});
+
+test("Receipts of very many entities cost no more each than those of few", async () => {
+    const cost = async (count: number): Promise<{ calls: number; shown: number; last: readonly Receipt[]; ms: number }> => {
+        const { server, client, clock } = await world();
+        const ids = Array.from({ length: count }, (_, i) => `33333333-0000-4000-8000-${String(i).padStart(12, "0")}`);
+        for (const id of ids) server.join(id, "Swarm"); // all of one name, as robots of one kind have
+        let calls = 0;
+        let shown = 0;
+        let last: readonly Receipt[] = [];
+        const began = performance.now();
+        const done = client.stop(ids, { deadlineMs: 5000, standstillMs: 4000, onProgress: (all) => (++calls, (shown += all.length), (last = all)) });
+        for (const stage of [MANAGER, CALLBACK_RETURNED, STANDSTILL]) for (const id of ids) server.receipt(id, 1, { stage, atUs: BigInt(stage), standstillFollows: stage !== STANDSTILL });
+        const receipts = await done;
+        const ms = performance.now() - began;
+        await clock.advance(0);
+        assert.ok(receipts.length === count && receipts.every(({ atRest, name }, i) => atRest && name === `Swarm#${i + 1}`));
+        return { calls, shown, last, ms };
+    };
+    const [few, many] = [await cost(32), await cost(256)];
+    // On a clock that stands still: the first of them, and what was true at the end.
+    assert.deepEqual([few.calls, many.calls], [2, 2]);
+    assert.ok(many.last.every(({ atRest }) => atRest));
+    assert.ok(many.shown <= 2 * 256, `${many.shown} receipts were shown`);
+});
+
+test("Progress of many entities is told every 20 ms, and of few at once", async () => {
+    const { server, client, clock } = await world();
+    const ids = Array.from({ length: 40 }, (_, i) => `33333333-0000-4000-8000-${String(i).padStart(12, "0")}`);
+    ids.forEach((id, i) => server.join(id, `R${i}`));
+    const confirmed: number[] = [];
+    const done = client.stop(ids, { onProgress: (all) => confirmed.push(all.filter((one) => one.confirmed).length) });
+    for (const id of ids.slice(0, 30)) server.receipt(id, 1, { stage: CALLBACK_RETURNED });
+    assert.deepEqual(confirmed, [1]);
+    await clock.advance(20);
+    assert.deepEqual(confirmed, [1, 30]);
+    for (const id of ids.slice(30)) server.receipt(id, 1, { stage: CALLBACK_RETURNED });
+    assert.equal((await done).length, 40);
+    assert.deepEqual(confirmed, [1, 30, 40]);
 });

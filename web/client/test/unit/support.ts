@@ -68,7 +68,12 @@ export class FakeServer implements Transport {
     me = ME;
     entities = 0;
     signalLane: "own" | "shared" = "own";
+    /** Of a server that names a signal lane: how the tries to open it end, the first one first; then they succeed. */
+    attachFails: Refusal[] | undefined;
+    attached = 0;
     backlog = { messages: 0, bytes: 0 };
+    /** Who waits for room on the data lane; undefined = there is room. */
+    noRoom: (() => void)[] | undefined;
     left = false;
     dropped = 0;
 
@@ -78,9 +83,26 @@ export class FakeServer implements Transport {
         if (this.refuse !== undefined) throw this.refuse;
         this.events = events;
         const note = (one: Sent): void => void this.sent.push(one);
+        let signalLane = this.signalLane;
         return {
-            facts: { me: this.me, entities: this.entities, watchdogBusyMs: 250, watchdogIdleMs: 10_000, signalLane: this.signalLane },
+            facts: { me: this.me, entities: this.entities, watchdogBusyMs: 250, watchdogIdleMs: 10_000 },
+            get signalLane() {
+                return signalLane;
+            },
+            signalOffered: this.attachFails !== undefined,
+            attachSignalLane: async () => {
+                ++this.attached;
+                await Promise.resolve();
+                const why = this.attachFails?.shift();
+                if (why !== undefined) throw why;
+                signalLane = "own";
+            },
             backlog: () => this.backlog,
+            onRoom: (call) => {
+                if (this.noRoom === undefined) call();
+                else this.noRoom.push(call);
+                return () => void (this.noRoom = this.noRoom?.filter((one) => one !== call));
+            },
             toEntity: (head, bytes) => note({ what: "message", droppable: false, head, body: decode("ToEntity", bytes) }),
             toEntityDroppable: (head, bytes) => note({ what: "message", droppable: true, head, body: decode("ToEntity", bytes) }),
             request: (head, bytes) => note({ what: "request", head, body: decode("ToEntity", bytes) }),

@@ -263,14 +263,27 @@ export async function rearm(client: Client, entity: Entity): Promise<void> {
  * went; a second tab, which may be a copy of this one, finds none.
  */
 addEventListener("pagehide", () => {
-    const tickets = [...holds.value.values()].map((hold) => hold.checkOut.ticket());
-    if (tickets.length > 0) sessionStorage.setItem(TICKETS, JSON.stringify(tickets));
+    const tickets = [...holds.value.values()].flatMap((hold) => {
+        try {
+            return [hold.checkOut.ticket()];
+        } catch {
+            return []; // of an entity that gives no key
+        }
+    });
+    if (tickets.length > 0) sessionStorage.setItem(TICKETS, JSON.stringify({ user: owner, tickets }));
 });
-export async function resumeHolds(client: Client): Promise<void> {
+let owner = "";
+export async function resumeHolds(client: Client, user: string): Promise<void> {
+    owner = user;
     const text = sessionStorage.getItem(TICKETS);
     sessionStorage.removeItem(TICKETS);
     if (text === null) return;
-    for (const ticket of JSON.parse(text) as string[]) {
+    const left = JSON.parse(text) as { user: string; tickets: string[] };
+    if (left.user !== user) {
+        note("who", undefined, "what this page held before it was loaded again was another user's, and is not resumed");
+        return;
+    }
+    for (const ticket of left.tickets) {
         try {
             const hold = adopt(await client.resume(ticket));
             note("who", hold.entity, "is this page's again");

@@ -24,6 +24,8 @@ export const ownName = signal(localStorage.getItem("axon-name") ?? "");
 const at = (path: string): URL => new URL(path, location.href.replace(/#.*/, ""));
 const ticket = ticketFrom(at("ticket"));
 let unfollow: (() => void) | undefined;
+/** The user of the session. */
+let openedBy = "";
 let generation = 0;
 
 async function credentials(): Promise<Credentials> {
@@ -50,8 +52,10 @@ function opened(its: Client): void {
     problem.value = "";
     let before: ConnectionReport | undefined;
     unfollow = follow(its);
+    const opener = (openedBy = user.value);
     its.onConnection((report) => {
         connection.value = report;
+        if (report.kind === "closed" && report.ended !== undefined && client.value === its) void replaced(opener);
         if (before?.kind !== report.kind && report.kind !== "reconnecting" && !(before?.kind === "reconnecting" && report.kind === "lost")) {
             if (report.kind === "lost") note("connection", undefined, `the connection to the server was lost: ${report.reason}`);
             if (report.kind === "connected") {
@@ -65,7 +69,20 @@ function opened(its: Client): void {
         note(code === "OK" ? "message" : "refusal", { id: "", name: "server" }, text);
         say(code === "OK" ? "wait" : "bad", text);
     });
-    void resumeHolds(its);
+    void resumeHolds(its, opener);
+}
+/** In another tab of this browser somebody else has logged in: a person has to say who goes on here. */
+async function replaced(opener: string): Promise<void> {
+    const now = user.value;
+    const ending = end();
+    const own = generation;
+    await ending;
+    if (own !== generation) return; // it was here that somebody logged in, and a new session is being opened
+    user.value = "";
+    askForLogin();
+    const name = (one: string): string => (one === "" ? "nobody" : one);
+    problem.value = `${name(now)} has logged in with this browser meanwhile, and this page was ${name(opener)}'s. What it held was stopped, and is not kept. Log in to go on.`;
+    note("connection", undefined, `the session of ${name(opener)} has ended: ${name(now)} has logged in meanwhile`);
 }
 
 /** Opens the session, and tries again until there is one or somebody has to log in. */
@@ -95,6 +112,9 @@ export async function login(name: string, password: string): Promise<string> {
             const body = (await answer.json().catch(() => ({}))) as Record<string, unknown>;
             return typeof body["message"] === "string" ? body["message"] : `The server answers ${answer.status}.`;
         }
+        const body = (await answer.json().catch(() => ({}))) as Record<string, unknown>;
+        // Another user gets a session of their own.
+        if (client.value !== undefined && body["user"] !== openedBy) await end();
     } catch {
         return "The server does not answer. Is it running?";
     }

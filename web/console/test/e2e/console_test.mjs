@@ -288,6 +288,59 @@ test("UsersLogIn", async () => {
     }
 });
 
+test("AnotherUserLogsInWithTheSameBrowser", async () => {
+    const own = await House.open({
+        users: [
+            ["olga", "observer", "correct horse"],
+            ["anna", "operator", "battery staple"],
+            ["robot", "entity", "of iron"],
+        ],
+    });
+    try {
+        own.startGreeter((text) => text, "Axon.User=robot\nAxon.Password=of iron\n");
+        const page = await own.person();
+        const logIn = async (name, password) => {
+            await page.getByLabel("User").fill(name);
+            await page.getByLabel("Password").fill(password);
+            await page.getByRole("button", { name: "Log in" }).click();
+        };
+        await page.evaluate(() => {
+            const Plain = WebSocket;
+            globalThis.sockets = [];
+            globalThis.WebSocket = class extends Plain {
+                constructor(...all) {
+                    super(...all);
+                    globalThis.sockets.push(this);
+                }
+            };
+        });
+        await logIn("anna", "battery staple");
+        await page.getByText("(operator)").waitFor();
+        // The signal lane has a WebSocket of its own.
+        await page.waitForFunction(() => globalThis.sockets.some((one) => one.url.endsWith("/axon-signal") && one.readyState === WebSocket.OPEN));
+        await openEntity(page, "Greeter");
+        await page.getByRole("button", { name: "Check out Greeter" }).click();
+        await page.getByText("Greeter is yours", { exact: true }).first().waitFor();
+        // In another tab.
+        await page.evaluate(() => fetch("login", { method: "POST", body: new URLSearchParams({ user: "olga", password: "correct horse" }) }).then(({ status }) => status));
+        await page.evaluate(() => globalThis.sockets.forEach((one) => one.close()));
+        await page.getByText("olga has logged in with this browser meanwhile, and this page was anna's.").waitFor();
+        await logIn("olga", "correct horse");
+        await page.getByText("(observer)").waitFor();
+        await openEntity(page, "Greeter");
+        await page.getByText("You may look at it and stop it.").waitFor();
+        // The server forgets who is logged in; a person logs in, and it is another one.
+        await own.lab.server.end("SIGKILL");
+        await own.startServer();
+        await page.getByText("The server no longer knows who you are").waitFor();
+        await logIn("anna", "battery staple");
+        await page.getByText("(operator)").waitFor();
+        assert.deepEqual(own.complaints, []);
+    } finally {
+        await own.end();
+    }
+});
+
 test("NothingComesFromElsewhereAndNothingIsBlocked", () => {
     assert.deepEqual(house.foreign, []);
     assert.deepEqual(house.complaints, []);
