@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 import { signal } from "@preact/signals";
+import { Measures } from "../parts/measures";
 import { Empty } from "../parts/small";
 import { type Entry, journal, kinds, type Kind } from "../state/journal";
 import { linkTo } from "../state/route";
@@ -67,6 +68,8 @@ export function ActivityPage(): preact.JSX.Element {
                     </button>
                 </div>
             </div>
+            <div class="activity">
+            <div class="stack">
             <p class="quiet">What this page has seen since it was loaded. The log of the server has more.</p>
             <div class="kinds" role="group" aria-label="Kinds that are shown">
                 {kinds.map((kind) => (
@@ -81,6 +84,9 @@ export function ActivityPage(): preact.JSX.Element {
                     Show more
                 </button>
             )}
+            </div>
+            <Measures />
+            </div>
         </>
     );
 }

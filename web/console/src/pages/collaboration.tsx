@@ -12,7 +12,7 @@ import { linkTo } from "../state/route";
 import { client } from "../state/session";
 import { stop } from "../state/stops";
 import { formatClock, formatDate, formatMs, formatPercent, formatSpan, formatValues } from "../words/format";
-import { plainRun, plainTask, remedyOf, sentence, type Tone } from "../words/words";
+import { marks, plainRun, plainTask, remedyOf, sentence, type Tone } from "../words/words";
 
 const failures = { "stop-all": "If a step fails, all of them stop.", "hold-others": "If a step fails, the others are held.", compensate: "If a step fails, they clean up as the job says." } as const;
 
@@ -36,32 +36,67 @@ function follow(run: Run, service: GlobalService): void {
     });
 }
 
-function Timeline({ report }: { readonly report: RunReport }): preact.JSX.Element {
+/** Robots as rows, steps as bars with their numbers: who works when, and in which order. */
+function Chart({ report }: { readonly report: RunReport }): preact.JSX.Element {
     const end = Math.max(report.elapsedMs, ...report.steps.map((step) => step.endedMs ?? step.beganMs ?? 0), 1);
     const bar = (step: StepReport): { left: string; width: string } | undefined => {
         if (step.beganMs === undefined) return undefined;
         const until = step.endedMs ?? end;
         return { left: `${(step.beganMs / end) * 100}%`, width: `${Math.max(((until - step.beganMs) / end) * 100, 0.7)}%` };
     };
+    const rows = new Map<string, { readonly name: string; readonly steps: StepReport[] }>();
+    for (const step of report.steps) {
+        const row = rows.get(step.entity) ?? { name: step.name, steps: [] };
+        row.steps.push(step);
+        rows.set(step.entity, row);
+    }
+    return (
+        <div class="chart" role="img" aria-label={`Who works when: ${[...rows.values()].map(({ name, steps }) => `${name} ${steps.filter(({ beganMs }) => beganMs !== undefined).length} of ${steps.filter(({ compensation }) => !compensation).length} steps begun`).join(", ")}`}>
+            {[...rows].map(([entity, { name, steps }]) => (
+                <div key={entity} class="lane">
+                    <span class="name">{name}</span>
+                    <span class="track">
+                        {steps.map((step) => {
+                            const place = bar(step);
+                            if (place === undefined || step.state === undefined) return null;
+                            return (
+                                <span key={step.step} class={`bar ${plainTask(step.state).tone}`} style={place} title={`${step.step + 1}: ${step.service}, ${plainTask(step.state).short}`}>
+                                    {step.step + 1}
+                                </span>
+                            );
+                        })}
+                    </span>
+                </div>
+            ))}
+            <div class="lane axis">
+                <span class="name" />
+                <span class="ends quiet">
+                    <span>0 s</span>
+                    <span>{formatSpan(end / 2)}</span>
+                    <span>{formatSpan(end)}</span>
+                </span>
+            </div>
+        </div>
+    );
+}
+
+function Timeline({ report }: { readonly report: RunReport }): preact.JSX.Element {
     return (
         <ol class="timeline" aria-label="Steps of the run">
             {report.steps
                 .filter((step) => !step.compensation || step.state !== undefined)
                 .map((step) => {
                     const tone: Tone = step.state === undefined ? "off" : plainTask(step.state).tone;
-                    const place = bar(step);
                     return (
                         <li key={`${step.step}`} class={tone}>
                             <span class="label">
+                                <b class="number">{step.step + 1}</b>
                                 <a href={linkTo("entity", step.entity)}>{step.name}</a> {step.service}
                                 {step.compensation && <span class="quiet"> (cleaning up)</span>}
                                 {step.tries > 1 && <span class="quiet"> try {step.tries}</span>}
                             </span>
-                            <span class="track" aria-hidden="true">
-                                {place !== undefined && <span class={`bar ${tone}`} style={place} />}
-                            </span>
                             <span class="quiet state">
-                                {step.state === undefined ? "waits" : plainTask(step.state).short}
+                                <span aria-hidden="true">{marks[tone]}</span> {step.state === undefined ? "waits" : plainTask(step.state).short}
                                 {step.beganMs !== undefined && step.endedMs !== undefined && `, ${formatMs(step.endedMs - step.beganMs)}`}
                                 {step.endedMs === undefined && step.progress !== undefined && ` ${formatPercent(step.progress)}`}
                                 {step.feedback !== "" && step.endedMs === undefined && `: ${step.feedback}`}
@@ -114,7 +149,12 @@ function RunCard({ its: { run, at, report, service } }: { readonly its: Running 
                     ))}
                 </ul>
             )}
-            {!report.check && <Timeline report={report} />}
+            {!report.check && report.steps.length > 0 && (
+                <>
+                    <Chart report={report} />
+                    <Timeline report={report} />
+                </>
+            )}
             <div class="row">
                 {open && !report.check && (
                     <>

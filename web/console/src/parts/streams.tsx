@@ -61,7 +61,7 @@ class Channel {
 }
 
 /** Draws into a canvas that is as sharp as the screen. */
-function draw(canvas: HTMLCanvasElement, paint: (pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string) => void): void {
+export function draw(canvas: HTMLCanvasElement, paint: (pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string) => void): void {
     const wide = canvas.clientWidth;
     const high = canvas.clientHeight;
     const sharp = devicePixelRatio || 1;

@@ -27,6 +27,22 @@ export class House {
         house.browser = await chromium.launch({ executablePath: process.env.AXON_CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox", "--disable-gpu"] });
         return house;
     }
+    /** The virtual laboratory of the transport: two mobile robots and two arms, each with its application and Entity Manager. */
+    async startTransport() {
+        const { lab } = this;
+        const world = lab.start("axon-lab", "axon-lab", "--port", "0");
+        const at = Object.fromEntries((await world.line("ready ", 60_000)).split(" ").slice(1).map((word) => [word.slice(0, word.indexOf("=")), word.slice(word.indexOf("=") + 1)]));
+        for (const [name, place] of Object.entries({ PeopleBot: "2400,2000,180", PeopleBot2: "2400,4000,180", Cyton: "555,2000,660", Cyton2: "555,4000,660" })) {
+            const robot = at[name] ?? "";
+            const words = name.startsWith("Cyton") ? ["--arm", robot] : ["--robot", robot, "--camera", at[`${name}.camera`] ?? ""];
+            const application = `web-${process.pid}-${name}`;
+            lab.start(`application of ${name}`, name.startsWith("Cyton") ? "axon-cyton" : "axon-peoplebot", ...words, "--application", application, "--name", name, "--ports", lab.ports, "--at", place);
+            const file = join(lab.folder, `${name}.cfg`);
+            writeFileSync(file, "Axon.LeaseGrace=20\n", { mode: 0o600 });
+            lab.start(`manager of ${name}`, "axon-entity-manager", "--application", application, "--ports", lab.ports, "--server", lab.at.entity, "--config", file);
+        }
+        return world;
+    }
     async startServer() {
         const { lab } = this;
         // The same ports again after a restart, as those of a real laboratory.
@@ -72,6 +88,11 @@ export async function openEntity(page, name) {
     await goTo(page, "#/");
     await page.locator(`[data-entity="${name}"] h3 a`).click();
     await page.getByRole("heading", { name, level: 1 }).waitFor();
+}
+/** Of the entity whose page is open. */
+export async function checkOut(page, name) {
+    await page.getByRole("button", { name: `Check out ${name}` }).click();
+    await page.getByText(`${name} is yours`, { exact: true }).first().waitFor();
 }
 export const runButton = (page, service) => page.locator(`[data-service="${service}"] .act button[type=submit]`);
 
