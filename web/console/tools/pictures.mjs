@@ -17,8 +17,9 @@ const names = new Set();
 
 async function take(page, name, documented = false) {
     if (!documented && !all) return;
-    names.add(name);
-    const path = join(to, `console_${name}.jpg`);
+    const file = documented ? name.replace(/_(desktop|phone)_(light|dark)$/, "") : name;
+    names.add(file);
+    const path = join(to, `console_${file}.jpg`);
     await page.waitForTimeout(300);
     await page.screenshot({ path, type: "jpeg", quality: QUALITY });
     if (statSync(path).size > MOST_BYTES) throw new Error(`${path} has more than ${MOST_BYTES} bytes`);
