@@ -12,9 +12,11 @@ import { linkTo } from "../state/route";
 import { client } from "../state/session";
 import { stop } from "../state/stops";
 import { formatClock, formatDate, formatMs, formatPercent, formatSpan, formatValues } from "../words/format";
-import { marks, plainRun, plainTask, remedyOf, sentence, type Tone } from "../words/words";
+import { marks, plainKind, plainRun, plainTask, remedyOf, sentence, type Tone } from "../words/words";
 
 const failures = { "stop-all": "If a step fails, all of them stop.", "hold-others": "If a step fails, the others are held.", compensate: "If a step fails, they clean up as the job says." } as const;
+
+const AGAIN_MS = 4000;
 
 interface Running {
     readonly run: Run;
@@ -192,6 +194,8 @@ interface RoleProps {
 }
 function Role({ outlook, choice, choose }: RoleProps): preact.JSX.Element {
     const mine = choice !== "" && holds.value.has(choice);
+    const [category = "", type = ""] = outlook.kind.split("/");
+    const needs = outlook.wanted.slice(outlook.kind.length).replace(/^ with /, "");
     const name = (id: string): string => entities.value.get(id)?.entity.name ?? id;
     // Those that offer something else entirely are no choice.
     const options: (readonly [string, string])[] = [["", "choose …"]];
@@ -206,8 +210,9 @@ function Role({ outlook, choice, choose }: RoleProps): preact.JSX.Element {
     const why = outlook.unfit.find((one) => one.entity === choice)?.why;
     return (
         <div class="role">
-            <Select label={`Role ${outlook.role + 1}: ${outlook.wanted}`} value={choice} options={options} onChange={choose} />
+            <Select label={`Role ${outlook.role + 1}: ${plainKind({ category, type })}`} value={choice} options={options} onChange={choose} />
             <span>{choice === "" ? <Badge tone="bad">nobody yet</Badge> : mine ? <Badge tone="good">yours</Badge> : <Badge tone="wait">not checked out</Badge>}</span>
+            {needs !== "" && <span class="quiet">It has to offer {needs}.</span>}
             {why !== undefined && (
                 <span class="quiet">
                     {name(choice)} {sentence(why.message)} {remedyOf(why)}
@@ -228,7 +233,13 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
     const [proposal, setProposal] = useState<Proposal>();
     const [choices, setChoices] = useState<ReadonlyMap<number, string>>(new Map());
     const [busy, setBusy] = useState(false);
-    const occasion = [...entities.value.values()].map(({ entity }) => `${entity.id} ${entity.holder?.id} ${entity.latched}`).join();
+    const [round, setRound] = useState(0);
+    const occasion = `${round} ${[...entities.value.values()].map(({ entity }) => `${entity.id} ${entity.holder?.id} ${entity.latched} ${entity.state}`).join()}`;
+    // Robots switch services on and off without a word to those who do not hold them.
+    useEffect(() => {
+        const timer = setInterval(() => document.visibilityState === "visible" && setRound((count) => count + 1), AGAIN_MS);
+        return () => clearInterval(timer);
+    }, []);
     useEffect(() => {
         if (its === undefined) return undefined;
         let wanted = true;
@@ -236,7 +247,7 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
             () =>
                 void its.propose(service).then(
                     (found) => wanted && setProposal(found),
-                    (error: unknown) => wanted && refused(`${service.name} cannot be planned now`, error),
+                    (error: unknown) => wanted && proposal === undefined && refused(`${service.name} cannot be planned now`, error),
                 ),
             proposal === undefined ? 0 : 400,
         );

@@ -166,7 +166,10 @@ test("ABackgroundTabWithoutTimersKeepsItsRobot", async () => {
     await page.evaluate(() => globalThis.throttle(false));
     await page.locator("[data-task=SUCCEEDED]").waitFor();
     await page.getByRole("button", { name: "Release it" }).click();
-    await Promise.all([page.context().close(), watcher.context().close(), programs.app.end(), programs.manager.end()]);
+    await goTo(watcher, "#/");
+    await Promise.all([programs.app.end(), programs.manager.end()]);
+    await card.waitFor({ state: "detached" });
+    await Promise.all([page.context().close(), watcher.context().close()]);
 });
 
 test("ActivityTellsWhatWasRefusedAndHowFastStopsAre", async () => {
@@ -402,15 +405,14 @@ test("UsersLogIn", async () => {
 });
 
 test("TheTransportIsRunFromTheConsole", { timeout: 240_000 }, async () => {
-    const own = await House.open({ globalServices: join(ROOT, "lab/globalservices") });
+    const own = await House.open({ globalServices: join(ROOT, "lab/globalservices"), transport: true });
     try {
-        await own.startTransport();
         const page = await own.person({ name: "client1", width: 1440, height: 900 });
         page.setDefaultTimeout(30_000);
         await openEntity(page, "PeopleBot");
         await checkOut(page, "PeopleBot");
-        await page.getByRole("tab", { name: "Navigation" }).click();
-        await page.getByLabel("Map", { exact: true }).setInputFiles(join(ROOT, "lab/worlds/transport.map"));
+        await page.getByRole("tab", { name: "Navigation", exact: true }).click();
+        await page.locator("[data-resource=Map] input").setInputFiles(join(ROOT, "lab/worlds/transport.map"));
         await page.getByText("transport.map: uploaded").waitFor();
         // The page knows the walls from then on, and draws the robot where it is.
         await goTo(page, "#/");

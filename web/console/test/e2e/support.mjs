@@ -7,6 +7,7 @@ import { chromium } from "playwright-core";
 import { Laboratory, ROOT } from "../../../client/dist-test/e2e/laboratory.js";
 
 export { ROOT };
+process.setMaxListeners(100); // each program of a laboratory wants to be ended with this one
 const DIST = new URL("../../dist", import.meta.url).pathname;
 /** A machine that runs a browser, a server and robots in tests has its own ideas of 250 ms. */
 const CONFIG = "FrontEndServer.WatchdogBusyMs = 2000\n";
@@ -24,22 +25,31 @@ export class House {
     foreign = [];
     contexts = [];
 
-    static async open({ users, globalServices, config = "" } = {}) {
+    /** With `transport`, the virtual laboratory runs first; a slow machine wants AXON_LAB_SPEED below 1, and everything takes the laboratory's time. */
+    static async open({ users, globalServices, config = "", transport = false } = {}) {
         const house = new House();
         house.lab = new Laboratory({ ...(globalServices === undefined ? {} : { globalServices }) });
         const file = join(house.lab.folder, "server.cfg");
         writeFileSync(file, CONFIG + config, { mode: 0o600 });
         house.options = ["--config", file, "--console-files", DIST];
         for (const [name, role, password] of users ?? []) await house.lab.addUser(name, role, password);
+        if (transport) await house.startWorld();
         await house.startServer();
+        if (transport) house.startTransport();
         browser ??= await chromium.launch({ executablePath: process.env.AXON_CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox", "--disable-gpu"] });
         return house;
     }
-    /** The virtual laboratory of the transport: two mobile robots and two arms, each with its application and Entity Manager. */
-    async startTransport() {
+    async startWorld() {
         const { lab } = this;
-        const world = lab.start("axon-lab", "axon-lab", "--port", "0");
-        const at = Object.fromEntries((await world.line("ready ", 60_000)).split(" ").slice(1).map((word) => [word.slice(0, word.indexOf("=")), word.slice(word.indexOf("=") + 1)]));
+        const speed = process.env.AXON_LAB_SPEED ?? "1";
+        const clock = join(lab.folder, "clock");
+        const program = lab.start("axon-lab", "axon-lab", "--port", "0", ...(speed === "1" ? [] : ["--speed", speed, "--clock", clock]));
+        this.world = Object.fromEntries((await program.line("ready ", 60_000)).split(" ").slice(1).map((word) => [word.slice(0, word.indexOf("=")), word.slice(word.indexOf("=") + 1)]));
+        if (speed !== "1") lab.env.AXON_CLOCK = clock;
+    }
+    /** The virtual laboratory of the transport: two mobile robots and two arms, each with its application and Entity Manager. */
+    startTransport() {
+        const { lab, world: at } = this;
         for (const [name, place] of Object.entries({ PeopleBot: "2400,2000,180", PeopleBot2: "2400,4000,180", Cyton: "555,2000,660", Cyton2: "555,4000,660" })) {
             const robot = at[name] ?? "";
             const words = name.startsWith("Cyton") ? ["--arm", robot] : ["--robot", robot, "--camera", at[`${name}.camera`] ?? ""];
@@ -49,7 +59,6 @@ export class House {
             writeFileSync(file, "Axon.LeaseGrace=20\n", { mode: 0o600 });
             lab.start(`manager of ${name}`, "axon-entity-manager", "--application", application, "--ports", lab.ports, "--server", lab.at.entity, "--config", file);
         }
-        return world;
     }
     async startServer() {
         const { lab } = this;
