@@ -69,23 +69,23 @@ export function ActivityPage(): preact.JSX.Element {
                 </div>
             </div>
             <div class="activity">
-            <div class="stack">
-            <p class="quiet">What this page has seen since it was loaded. The log of the server has more.</p>
-            <div class="kinds" role="group" aria-label="Kinds that are shown">
-                {kinds.map((kind) => (
-                    <button key={kind} type="button" class={`chip ${kind}`} aria-pressed={!off.value.has(kind)} onClick={() => toggle(kind)}>
-                        {titles[kind]}
-                    </button>
-                ))}
-            </div>
-            <Entries entries={shown.slice(0, most.value)} />
-            {shown.length > most.value && (
-                <button type="button" onClick={() => (most.value *= 3)}>
-                    Show more
-                </button>
-            )}
-            </div>
-            <Measures />
+                <div class="stack">
+                    <p class="quiet">What this page has seen since it was loaded. The log of the server has more.</p>
+                    <div class="kinds" role="group" aria-label="Kinds that are shown">
+                        {kinds.map((kind) => (
+                            <button key={kind} type="button" class={`chip ${kind}`} aria-pressed={!off.value.has(kind)} onClick={() => toggle(kind)}>
+                                {titles[kind]}
+                            </button>
+                        ))}
+                    </div>
+                    <Entries entries={shown.slice(0, most.value)} />
+                    {shown.length > most.value && (
+                        <button type="button" onClick={() => (most.value *= 3)}>
+                            Show more
+                        </button>
+                    )}
+                </div>
+                <Measures />
             </div>
         </>
     );
