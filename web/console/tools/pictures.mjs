@@ -61,7 +61,7 @@ try {
     await first.locator("[data-task=RUNNING]").waitFor();
     await first.waitForTimeout(2500);
     await take(first, "entity", { documented: true });
-    await first.evaluate(() => document.querySelector(".streams")?.scrollIntoView({ block: "start" }));
+    await first.getByRole("heading", { name: "What it measures" }).evaluate((one) => one.scrollIntoView({ block: "start" }));
     await first.waitForTimeout(1500);
     await take(first, "streams", { documented: true });
     const hash = new URL(first.url()).hash;

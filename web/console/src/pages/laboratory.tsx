@@ -97,7 +97,7 @@ const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, 
                 {entity.waiting > 0 && `, ${formatCount(entity.waiting)} in line`}
             </p>
             <p class="foot quiet">
-                {fresh && battery !== "" && <span class="battery">battery {battery}, </span>}
+                {fresh && battery !== "" && <span class="battery">battery {battery} · </span>}
                 {fresh ? (
                     entity.stopLatencyMs === undefined ? (
                         "stop not measured yet"
@@ -175,7 +175,7 @@ export function LaboratoryPage(): preact.JSX.Element {
                         value={wanted.value}
                         onChange={(value) => (wanted.value = value)}
                         options={[
-                            ["any", "in any state"],
+                            ["any", "any state"],
                             ["free", "free"],
                             ["mine", "mine"],
                             ["held", "in use"],
@@ -184,9 +184,9 @@ export function LaboratoryPage(): preact.JSX.Element {
                             ["trouble", "in trouble"],
                         ]}
                     />
-                    <Select label="Category" hideLabel value={category.value} onChange={(value) => (category.value = value)} options={[["any", "of any category"], ...categories.value.map((one) => [one, one.toLowerCase()] as const)]} />
-                    <Select label="Type" hideLabel value={type.value} onChange={(value) => (type.value = value)} options={[["any", "of any type"], ...types.value.map((one) => [one, one.toLowerCase()] as const)]} />
-                    <Select label="Service" hideLabel value={service.value} onChange={(value) => (service.value = value)} options={[["any", "with any service"], ...services.value.map((one) => [one, one] as const)]} />
+                    <Select label="Category" hideLabel value={category.value} onChange={(value) => (category.value = value)} options={[["any", "any category"], ...categories.value.map((one) => [one, one.toLowerCase()] as const)]} />
+                    <Select label="Type" hideLabel value={type.value} onChange={(value) => (type.value = value)} options={[["any", "any type"], ...types.value.map((one) => [one, one.toLowerCase()] as const)]} />
+                    <Select label="Service" hideLabel value={service.value} onChange={(value) => (service.value = value)} options={[["any", "any service"], ...services.value.map((one) => [one, one] as const)]} />
                     <div class="switch" role="group" aria-label="View">
                         <button type="button" aria-pressed={view.value === "cards"} onClick={() => (view.value = "cards")}>
                             Cards

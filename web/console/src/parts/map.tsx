@@ -41,7 +41,7 @@ function placeOf({ entity }: Seen): Place {
     if (live?.pose === undefined || Math.hypot(live.pose.x - x, live.pose.y - y) > SAME_FRAME_M) return { x, y, yaw: undefined, live: undefined };
     return { x: live.pose.x, y: live.pose.y, yaw: live.pose.yaw, live };
 }
-/** 1, 2 or 5 times a power of ten, so that about ten lines are seen. */
+/** 1, 2 or 5 times a power of ten, so that some lines are seen. */
 function stepOf(span: number): number {
     const rough = span / 8;
     const power = 10 ** Math.floor(Math.log10(rough));
@@ -58,7 +58,7 @@ function viewOf(places: readonly Place[], plan: Floor | undefined, wide: number,
     const scale = Math.min(wide / span.x, high / span.y);
     const left = (wide - span.x * scale) / 2;
     const foot = (high + span.y * scale) / 2;
-    return { scale, wide, high, x: (metres) => left + (metres - low.x) * scale, y: (metres) => foot - (metres - low.y) * scale, step: stepOf(wide / scale) };
+    return { scale, wide, high, x: (metres) => left + (metres - low.x) * scale, y: (metres) => foot - (metres - low.y) * scale, step: stepOf(Math.min(wide, high) / scale) };
 }
 
 type Colour = (name: string) => string;
@@ -203,12 +203,15 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
                             const { tone, short } = plainState(entity);
                             const back = x > wide * 0.75;
                             return (
-                                <g key={entity.id} transform={`translate(${x.toFixed(1)} ${(y + before * 26).toFixed(1)})`}>
+                                <g key={entity.id} transform={`translate(${x.toFixed(1)} ${(y + before * (y > high * 0.7 ? -30 : 30)).toFixed(1)})`}>
                                     <a href={linkTo("entity", entity.id)} class={`spot ${tone} ${current ? "" : "stale"}`} data-spot={entity.name} data-live={its.yaw === undefined ? "no" : "yes"} aria-label={`${entity.name}, ${short}`}>
                                         <circle r={Math.max(entity.type === "MOBILE" ? 11 : 9, Math.min(view.scale * 0.22, 26))} />
                                         {its.yaw !== undefined && <path class="nose" d="M10 0L-6 6L-3 0L-6 -6Z" transform={`rotate(${((-its.yaw * 180) / Math.PI).toFixed(1)})`} />}
                                         <text x={back ? -Math.max(17, view.scale * 0.22 + 6) : Math.max(17, Math.min(view.scale * 0.22, 26) + 6)} y="5" text-anchor={back ? "end" : "start"}>
-                                            {entity.name.slice(0, 24)} {marks[tone]}
+                                            {entity.name.slice(0, 24)}
+                                            <tspan class="mark" dx="5">
+                                                {tone === "good" ? short : `${marks[tone]} ${short}`}
+                                            </tspan>
                                         </text>
                                     </a>
                                 </g>
@@ -217,7 +220,9 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
                 </svg>
             </div>
             <figcaption class="quiet">
-                <span>One square is {formatNumber(view.step)} m. Robots that send their pose are drawn where they are now, with the way that they have driven and what their lasers and sonars see; the others by the position of their profile.</span>
+                <span>
+                    One square is {formatNumber(view.step)} m. An arrow is a robot that sends where it is now; the others stand where their profile says. Blue: seen by lasers. Orange: by sonars. Dashed: driven.
+                </span>
                 <span class="row">
                     <label class="button">
                         {plan === undefined ? "Show walls from a map file" : "Another map file"}

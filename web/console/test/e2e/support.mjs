@@ -115,6 +115,8 @@ export async function goTo(page, where) {
 }
 export async function openEntity(page, name) {
     await goTo(page, "#/");
+    await page.locator(`[data-entity="${name}"], [data-spot="${name}"]`).first().waitFor();
+    if ((await page.locator("[data-spot]").count()) > 0) await page.getByRole("button", { name: "Cards", exact: true }).click();
     await page.locator(`[data-entity="${name}"] h3 a`).click();
     await page.getByRole("heading", { name, level: 1 }).waitFor();
 }
