@@ -78,10 +78,18 @@ def prepare(work):
 
 
 def build_console(work):
+    """Returns the folder of what was built. Does nothing if it is already made from these sources."""
+    dist = work / "console" / "dist"
+    mark = work / "built"
+    now = digest()
+    if mark.exists() and mark.read_text() == now and (dist / "index.html").exists():
+        return dist
+    mark.unlink(missing_ok=True)
     prepare(work)
     run(work, "client", "build")
     run(work, "console", "build")
-    return work / "console" / "dist"
+    mark.write_text(now)
+    return dist
 
 
 def main():
@@ -90,7 +98,7 @@ def main():
     parser.add_argument("--install-to", type=pathlib.Path, required=True)
     args = parser.parse_args()
     work, to = args.work.resolve(), args.install_to.resolve()
-    mark = work / "built"
+    mark = work / "served"  # what is in `to`
     now = digest()
     if mark.exists() and mark.read_text() == now and (to / "index.html").exists():
         return

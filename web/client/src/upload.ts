@@ -10,6 +10,8 @@ export interface UploadOptions {
     readonly fileName?: string;
     /** Bytes that have been sent, and all of them. */
     readonly onProgress?: (sent: number, total: number) => void;
+    /** Called with the SHA-256 of the file before its first byte is sent. */
+    readonly onHash?: (sha256: Uint8Array) => void;
     /** Ends the upload with CANCELLED before its next chunk; a later one goes on from there. */
     readonly signal?: AbortSignal;
 }
@@ -82,6 +84,7 @@ export async function upload(session: Session, held: Held, service: string, reso
     }
     const own = "name" in file && typeof file.name === "string" ? file.name : resource;
     const sum = await hashOf(file);
+    options.onHash?.(sum);
     const cancelled = (): Refusal => new Refusal("CANCELLED", "The upload was cancelled; it goes on when it is begun again.");
     if (options.signal?.aborted === true) throw cancelled();
 

@@ -10,4 +10,6 @@ if (place !== null) {
     place.replaceChildren();
     render(<App />, place);
 }
+// A file that misses its place would replace this page, and with it the session.
+for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault());
 void start();

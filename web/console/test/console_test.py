@@ -38,7 +38,7 @@ def main():
     subprocess.run(["npx", "--no-install", "tsc", "-p", "test"], cwd=work / "client", check=True)  # its laboratory
     env = dict(os.environ, AXON_ROOT=str(ROOT), AXON_BIN=str(bin_folder), AXON_CHROMIUM=chromium)
     pictures = option("--pictures")
-    command = ["node", "tools/pictures.mjs", str(pictures)] if pictures else ["node", "--test", "--test-reporter=spec", "test/e2e/console_test.mjs"]
+    command = ["node", "tools/pictures.mjs", str(pictures)] if pictures else ["node", "--test", "--test-reporter=spec", "test/unit/parts_test.mjs", "test/e2e/console_test.mjs"]
     sys.exit(subprocess.run(command, cwd=work / "console", env=env, check=False).returncode)
 
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 import { signal } from "@preact/signals";
+import { Measures } from "../parts/measures";
 import { Empty } from "../parts/small";
 import { type Entry, journal, kinds, type Kind } from "../state/journal";
 import { linkTo } from "../state/route";
@@ -67,20 +68,25 @@ export function ActivityPage(): preact.JSX.Element {
                     </button>
                 </div>
             </div>
-            <p class="quiet">What this page has seen since it was loaded. The log of the server has more.</p>
-            <div class="kinds" role="group" aria-label="Kinds that are shown">
-                {kinds.map((kind) => (
-                    <button key={kind} type="button" class={`chip ${kind}`} aria-pressed={!off.value.has(kind)} onClick={() => toggle(kind)}>
-                        {titles[kind]}
-                    </button>
-                ))}
+            <div class="activity">
+                <div class="stack">
+                    <p class="quiet">What this page has seen since it was loaded. The log of the server has more.</p>
+                    <div class="kinds" role="group" aria-label="Kinds that are shown">
+                        {kinds.map((kind) => (
+                            <button key={kind} type="button" class={`chip ${kind}`} aria-pressed={!off.value.has(kind)} onClick={() => toggle(kind)}>
+                                {titles[kind]}
+                            </button>
+                        ))}
+                    </div>
+                    <Entries entries={shown.slice(0, most.value)} />
+                    {shown.length > most.value && (
+                        <button type="button" onClick={() => (most.value *= 3)}>
+                            Show more
+                        </button>
+                    )}
+                </div>
+                <Measures />
             </div>
-            <Entries entries={shown.slice(0, most.value)} />
-            {shown.length > most.value && (
-                <button type="button" onClick={() => (most.value *= 3)}>
-                    Show more
-                </button>
-            )}
         </>
     );
 }

@@ -12,9 +12,11 @@ import { linkTo } from "../state/route";
 import { client } from "../state/session";
 import { stop } from "../state/stops";
 import { formatClock, formatDate, formatMs, formatPercent, formatSpan, formatValues } from "../words/format";
-import { plainRun, plainTask, remedyOf, sentence, type Tone } from "../words/words";
+import { marks, plainKind, plainRun, plainTask, remedyOf, sentence, type Tone } from "../words/words";
 
 const failures = { "stop-all": "If a step fails, all of them stop.", "hold-others": "If a step fails, the others are held.", compensate: "If a step fails, they clean up as the job says." } as const;
+
+const AGAIN_MS = 4000;
 
 interface Running {
     readonly run: Run;
@@ -36,32 +38,67 @@ function follow(run: Run, service: GlobalService): void {
     });
 }
 
-function Timeline({ report }: { readonly report: RunReport }): preact.JSX.Element {
+/** Robots as rows, steps as bars with their numbers: who works when, and in which order. */
+function Chart({ report }: { readonly report: RunReport }): preact.JSX.Element {
     const end = Math.max(report.elapsedMs, ...report.steps.map((step) => step.endedMs ?? step.beganMs ?? 0), 1);
     const bar = (step: StepReport): { left: string; width: string } | undefined => {
         if (step.beganMs === undefined) return undefined;
         const until = step.endedMs ?? end;
         return { left: `${(step.beganMs / end) * 100}%`, width: `${Math.max(((until - step.beganMs) / end) * 100, 0.7)}%` };
     };
+    const rows = new Map<string, { readonly name: string; readonly steps: StepReport[] }>();
+    for (const step of report.steps) {
+        const row = rows.get(step.entity) ?? { name: step.name, steps: [] };
+        row.steps.push(step);
+        rows.set(step.entity, row);
+    }
+    return (
+        <div class="chart" role="img" aria-label={`Who works when: ${[...rows.values()].map(({ name, steps }) => `${name} ${steps.filter(({ beganMs }) => beganMs !== undefined).length} of ${steps.filter(({ compensation }) => !compensation).length} steps begun`).join(", ")}`}>
+            {[...rows].map(([entity, { name, steps }]) => (
+                <div key={entity} class="lane">
+                    <span class="name">{name}</span>
+                    <span class="track">
+                        {steps.map((step) => {
+                            const place = bar(step);
+                            if (place === undefined || step.state === undefined) return null;
+                            return (
+                                <span key={step.step} class={`bar ${plainTask(step.state).tone}`} style={place} title={`${step.step + 1}: ${step.service}, ${plainTask(step.state).short}`}>
+                                    {step.step + 1}
+                                </span>
+                            );
+                        })}
+                    </span>
+                </div>
+            ))}
+            <div class="lane axis">
+                <span class="name" />
+                <span class="ends quiet">
+                    <span>0 s</span>
+                    <span>{formatSpan(end / 2)}</span>
+                    <span>{formatSpan(end)}</span>
+                </span>
+            </div>
+        </div>
+    );
+}
+
+function Timeline({ report }: { readonly report: RunReport }): preact.JSX.Element {
     return (
         <ol class="timeline" aria-label="Steps of the run">
             {report.steps
                 .filter((step) => !step.compensation || step.state !== undefined)
                 .map((step) => {
                     const tone: Tone = step.state === undefined ? "off" : plainTask(step.state).tone;
-                    const place = bar(step);
                     return (
                         <li key={`${step.step}`} class={tone}>
                             <span class="label">
+                                <b class="number">{step.step + 1}</b>
                                 <a href={linkTo("entity", step.entity)}>{step.name}</a> {step.service}
                                 {step.compensation && <span class="quiet"> (cleaning up)</span>}
                                 {step.tries > 1 && <span class="quiet"> try {step.tries}</span>}
                             </span>
-                            <span class="track" aria-hidden="true">
-                                {place !== undefined && <span class={`bar ${tone}`} style={place} />}
-                            </span>
                             <span class="quiet state">
-                                {step.state === undefined ? "waits" : plainTask(step.state).short}
+                                <span aria-hidden="true">{marks[tone]}</span> {step.state === undefined ? "waits" : plainTask(step.state).short}
                                 {step.beganMs !== undefined && step.endedMs !== undefined && `, ${formatMs(step.endedMs - step.beganMs)}`}
                                 {step.endedMs === undefined && step.progress !== undefined && ` ${formatPercent(step.progress)}`}
                                 {step.feedback !== "" && step.endedMs === undefined && `: ${step.feedback}`}
@@ -114,7 +151,12 @@ function RunCard({ its: { run, at, report, service } }: { readonly its: Running 
                     ))}
                 </ul>
             )}
-            {!report.check && <Timeline report={report} />}
+            {!report.check && report.steps.length > 0 && (
+                <>
+                    <Chart report={report} />
+                    <Timeline report={report} />
+                </>
+            )}
             <div class="row">
                 {open && !report.check && (
                     <>
@@ -152,6 +194,8 @@ interface RoleProps {
 }
 function Role({ outlook, choice, choose }: RoleProps): preact.JSX.Element {
     const mine = choice !== "" && holds.value.has(choice);
+    const [category = "", type = ""] = outlook.kind.split("/");
+    const needs = outlook.wanted.slice(outlook.kind.length).replace(/^ with /, "");
     const name = (id: string): string => entities.value.get(id)?.entity.name ?? id;
     // Those that offer something else entirely are no choice.
     const options: (readonly [string, string])[] = [["", "choose …"]];
@@ -166,8 +210,9 @@ function Role({ outlook, choice, choose }: RoleProps): preact.JSX.Element {
     const why = outlook.unfit.find((one) => one.entity === choice)?.why;
     return (
         <div class="role">
-            <Select label={`Role ${outlook.role + 1}: ${outlook.wanted}`} value={choice} options={options} onChange={choose} />
+            <Select label={`Role ${outlook.role + 1}: ${plainKind({ category, type })}`} value={choice} options={options} onChange={choose} />
             <span>{choice === "" ? <Badge tone="bad">nobody yet</Badge> : mine ? <Badge tone="good">yours</Badge> : <Badge tone="wait">not checked out</Badge>}</span>
+            {needs !== "" && <span class="quiet">It has to offer {needs}.</span>}
             {why !== undefined && (
                 <span class="quiet">
                     {name(choice)} {sentence(why.message)} {remedyOf(why)}
@@ -188,7 +233,13 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
     const [proposal, setProposal] = useState<Proposal>();
     const [choices, setChoices] = useState<ReadonlyMap<number, string>>(new Map());
     const [busy, setBusy] = useState(false);
-    const occasion = [...entities.value.values()].map(({ entity }) => `${entity.id} ${entity.holder?.id} ${entity.latched}`).join();
+    const [round, setRound] = useState(0);
+    const occasion = `${round} ${[...entities.value.values()].map(({ entity }) => `${entity.id} ${entity.holder?.id} ${entity.latched} ${entity.state}`).join()}`;
+    // Robots switch services on and off without a word to those who do not hold them.
+    useEffect(() => {
+        const timer = setInterval(() => document.visibilityState === "visible" && setRound((count) => count + 1), AGAIN_MS);
+        return () => clearInterval(timer);
+    }, []);
     useEffect(() => {
         if (its === undefined) return undefined;
         let wanted = true;
@@ -196,7 +247,7 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
             () =>
                 void its.propose(service).then(
                     (found) => wanted && setProposal(found),
-                    (error: unknown) => wanted && refused(`${service.name} cannot be planned now`, error),
+                    (error: unknown) => wanted && proposal === undefined && refused(`${service.name} cannot be planned now`, error),
                 ),
             proposal === undefined ? 0 : 400,
         );

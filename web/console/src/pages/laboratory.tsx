@@ -6,6 +6,8 @@ import { LabMap } from "../parts/map";
 import { Age, Empty, Select, StateBadge } from "../parts/small";
 import { type Seen, sorted, unready } from "../state/entities";
 import { holds } from "../state/holds";
+import { offered } from "../state/catalogue";
+import { BATTERY, liveOf, useLive } from "../state/live";
 import { linkTo } from "../state/route";
 import { ticked } from "../state/stops";
 import { formatCount, formatMs } from "../words/format";
@@ -13,7 +15,9 @@ import { canMove, plainKind, plainState } from "../words/words";
 
 type Wanted = "any" | "free" | "mine" | "held" | "working" | "stopped" | "trouble";
 const wanted = signal<Wanted>("any");
-const kind = signal("any");
+const category = signal("any");
+const type = signal("any");
+const service = signal("any");
 const words = signal("");
 const view = signal<"cards" | "map">("cards");
 const most = signal(120);
@@ -36,11 +40,16 @@ function fits(entity: Entity, what: Wanted): boolean {
             return true;
     }
 }
-const kinds = computed(() => [...new Set(sorted.value.map(({ entity }) => plainKind(entity)))].sort());
+const choicesOf = (all: readonly string[]): readonly string[] => [...new Set(all)].filter((one) => one !== "").sort();
+const categories = computed(() => choicesOf(sorted.value.map(({ entity }) => entity.category)));
+const types = computed(() => choicesOf(sorted.value.map(({ entity }) => entity.type)));
+const services = computed(() => choicesOf([...offered.value.values()].flat()));
 const shown = computed(() => {
     const search = words.value.trim().toLowerCase().split(/\s+/);
     return sorted.value.filter(({ entity }) => {
-        if (kind.value !== "any" && plainKind(entity) !== kind.value) return false;
+        if (category.value !== "any" && entity.category !== category.value) return false;
+        if (type.value !== "any" && entity.type !== type.value) return false;
+        if (service.value !== "any" && offered.value.get(entity.id)?.includes(service.value) !== true) return false;
         if (!fits(entity, wanted.value)) return false;
         const text = `${entity.name} ${entity.descr} ${plainKind(entity)} ${entity.state} ${plainState(entity).short} ${entity.holder?.name ?? ""} ${entity.id}`.toLowerCase();
         return search.every((word) => text.includes(word));
@@ -51,8 +60,10 @@ interface CardProps {
     readonly seen: Seen;
     readonly mine: boolean;
     readonly selected: boolean;
+    /** With its units; empty = it sends none. */
+    readonly battery: string;
 }
-const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, mine, selected }: CardProps) => {
+const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, mine, selected, battery }: CardProps) => {
     const { long, tone } = plainState(entity);
     const tick = (on: boolean): void => {
         const all = new Set(ticked.value);
@@ -86,6 +97,7 @@ const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, 
                 {entity.waiting > 0 && `, ${formatCount(entity.waiting)} in line`}
             </p>
             <p class="foot quiet">
+                {fresh && battery !== "" && <span class="battery">battery {battery} · </span>}
                 {fresh ? (
                     entity.stopLatencyMs === undefined ? (
                         "stop not measured yet"
@@ -120,14 +132,37 @@ function Unready(): preact.JSX.Element | null {
     );
 }
 
+function Cards({ list }: { readonly list: readonly Seen[] }): preact.JSX.Element {
+    useLive(
+        list.filter(({ fresh }) => fresh).map(({ entity }) => entity.id),
+        BATTERY,
+        1000,
+    );
+    return (
+        <ul class="cards" aria-label="Entities">
+            {list.map((seen) => (
+                <Card key={seen.entity.id} seen={seen} mine={holds.value.has(seen.entity.id)} selected={ticked.value.has(seen.entity.id)} battery={liveOf(seen.entity.id)?.battery ?? ""} />
+            ))}
+        </ul>
+    );
+}
+
 export function LaboratoryPage(): preact.JSX.Element {
     const all = sorted.value.length;
     const list = shown.value;
+    const filtered = list.length < all;
+    const showAll = (): void => {
+        words.value = "";
+        wanted.value = "any";
+        category.value = "any";
+        type.value = "any";
+        service.value = "any";
+    };
     return (
         <>
             <div class="title">
                 <h1>
-                    Laboratory <span class="count">{formatCount(all)}</span>
+                    Laboratory <span class="count">{filtered ? `${formatCount(list.length)} of ${formatCount(all)}` : formatCount(all)}</span>
                 </h1>
                 <div class="filters" role="search">
                     <label class="unseen" for="words">
@@ -140,7 +175,7 @@ export function LaboratoryPage(): preact.JSX.Element {
                         value={wanted.value}
                         onChange={(value) => (wanted.value = value)}
                         options={[
-                            ["any", "in any state"],
+                            ["any", "any state"],
                             ["free", "free"],
                             ["mine", "mine"],
                             ["held", "in use"],
@@ -149,7 +184,9 @@ export function LaboratoryPage(): preact.JSX.Element {
                             ["trouble", "in trouble"],
                         ]}
                     />
-                    <Select label="Kind" hideLabel value={kind.value} onChange={(value) => (kind.value = value)} options={[["any", "of any kind"], ...kinds.value.map((one) => [one, one] as const)]} />
+                    <Select label="Category" hideLabel value={category.value} onChange={(value) => (category.value = value)} options={[["any", "any category"], ...categories.value.map((one) => [one, one.toLowerCase()] as const)]} />
+                    <Select label="Type" hideLabel value={type.value} onChange={(value) => (type.value = value)} options={[["any", "any type"], ...types.value.map((one) => [one, one.toLowerCase()] as const)]} />
+                    <Select label="Service" hideLabel value={service.value} onChange={(value) => (service.value = value)} options={[["any", "any service"], ...services.value.map((one) => [one, one] as const)]} />
                     <div class="switch" role="group" aria-label="View">
                         <button type="button" aria-pressed={view.value === "cards"} onClick={() => (view.value = "cards")}>
                             Cards
@@ -171,14 +208,7 @@ export function LaboratoryPage(): preact.JSX.Element {
             {all > 0 && list.length === 0 && (
                 <Empty>
                     None of the {formatCount(all)} robots fits.{" "}
-                    <button
-                        type="button"
-                        onClick={() => {
-                            words.value = "";
-                            wanted.value = "any";
-                            kind.value = "any";
-                        }}
-                    >
+                    <button type="button" onClick={showAll}>
                         Show all
                     </button>
                 </Empty>
@@ -186,11 +216,7 @@ export function LaboratoryPage(): preact.JSX.Element {
             {view.value === "map" && list.length > 0 ? (
                 <LabMap seen={list} />
             ) : (
-                <ul class="cards" aria-label="Entities">
-                    {list.slice(0, most.value).map((seen) => (
-                        <Card key={seen.entity.id} seen={seen} mine={holds.value.has(seen.entity.id)} selected={ticked.value.has(seen.entity.id)} />
-                    ))}
-                </ul>
+                <Cards list={list.slice(0, most.value)} />
             )}
             {view.value === "cards" && list.length > most.value && (
                 <button type="button" onClick={() => (most.value *= 3)}>

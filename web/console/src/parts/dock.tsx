@@ -52,12 +52,12 @@ function Line({ receipt }: { readonly receipt: Receipt }): preact.JSX.Element {
 /** A press counts when it begins. Keys and screen readers click without one. */
 let pressedAt = -Infinity;
 function StopButton({ which }: { readonly which: Scope }): preact.JSX.Element {
-    const begin = (): void => {
+    const begin = (event: Event): void => {
         pressedAt = performance.now();
-        press(which);
+        press(which, event.timeStamp);
     };
     return (
-        <button type="button" class="stop" onPointerDown={(event) => event.button === 0 && begin()} onClick={() => performance.now() - pressedAt > 1000 && begin()}>
+        <button type="button" class="stop" onPointerDown={(event) => event.button === 0 && begin(event)} onClick={(event) => performance.now() - pressedAt > 1000 && begin(event)}>
             <b>STOP</b> <span>{describe(which)}</span>
         </button>
     );

@@ -1,64 +1,240 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Where the entities stand, by the positions in their profiles.
-import { formatNumber } from "../words/format";
+// Where the entities stand: a canvas with what changes ten times in a second, and above it links that everybody can reach.
+import type { Scan } from "@axon/client";
+import { useEffect, useRef, useState } from "preact/hooks";
 import type { Seen } from "../state/entities";
+import { closeFloor, floor, type Floor, openFloor } from "../state/floor";
+import { say } from "../state/journal";
+import { type Live, liveOf, MAPPED, useLive } from "../state/live";
 import { linkTo } from "../state/route";
+import { formatNumber } from "../words/format";
 import { marks, plainState } from "../words/words";
+import { draw } from "./streams";
 
-const WIDE = 1000;
-const HIGH = 600;
-const EDGE = 70;
+const DRAW_MS = 100;
+const LABELS_MS = 250;
+const LIVE_MAX = 60;
+/** A scan that is older is not drawn. */
+const OLD_MS = 2000;
+/** A pose that is further from the position of the profile is in a frame of its own. */
+const SAME_FRAME_M = 1;
 
-/** 1, 2 or 5 times a power of ten, so that about ten lines are seen. */
+interface View {
+    readonly scale: number;
+    readonly x: (metres: number) => number;
+    readonly y: (metres: number) => number;
+    readonly wide: number;
+    readonly high: number;
+    readonly step: number;
+}
+interface Place {
+    readonly x: number;
+    readonly y: number;
+    readonly yaw: number | undefined;
+    readonly live: Live | undefined;
+}
+
+function placeOf({ entity }: Seen): Place {
+    const x = entity.xMm / 1000;
+    const y = entity.yMm / 1000;
+    const live = liveOf(entity.id);
+    if (live?.pose === undefined || Math.hypot(live.pose.x - x, live.pose.y - y) > SAME_FRAME_M) return { x, y, yaw: undefined, live: undefined };
+    return { x: live.pose.x, y: live.pose.y, yaw: live.pose.yaw, live };
+}
+/** 1, 2 or 5 times a power of ten, so that some lines are seen. */
 function stepOf(span: number): number {
     const rough = span / 8;
     const power = 10 ** Math.floor(Math.log10(rough));
     return ([1, 2, 5].find((factor) => factor * power >= rough) ?? 10) * power;
 }
+function viewOf(places: readonly Place[], plan: Floor | undefined, wide: number, high: number): View {
+    const xs = [...places.map(({ x }) => x), ...(plan?.lines.flatMap(([x1, , x2]) => [x1, x2]) ?? [])];
+    const ys = [...places.map(({ y }) => y), ...(plan?.lines.flatMap(([, y1, , y2]) => [y1, y2]) ?? [])];
+    const least = (all: readonly number[]): number => all.reduce((a, b) => Math.min(a, b), Infinity);
+    const most = (all: readonly number[]): number => all.reduce((a, b) => Math.max(a, b), -Infinity);
+    const around = plan === undefined ? 1.2 : 0.4;
+    const low = { x: least(xs) - around, y: least(ys) - around };
+    const span = { x: Math.max(most(xs) + around - low.x, 2), y: Math.max(most(ys) + around - low.y, 2) };
+    const scale = Math.min(wide / span.x, high / span.y);
+    const left = (wide - span.x * scale) / 2;
+    const foot = (high + span.y * scale) / 2;
+    return { scale, wide, high, x: (metres) => left + (metres - low.x) * scale, y: (metres) => foot - (metres - low.y) * scale, step: stepOf(Math.min(wide, high) / scale) };
+}
+
+type Colour = (name: string) => string;
+function paintGrid(pen: CanvasRenderingContext2D, view: View, colour: Colour): void {
+    const { wide, high, step, scale } = view;
+    pen.strokeStyle = colour("--line");
+    pen.lineWidth = 1;
+    pen.beginPath();
+    for (let x = Math.ceil(-view.x(0) / scale / step) * step; view.x(x) < wide; x += step) {
+        pen.moveTo(Math.round(view.x(x)) + 0.5, 0);
+        pen.lineTo(Math.round(view.x(x)) + 0.5, high);
+    }
+    for (let y = Math.ceil((view.y(0) - high) / scale / step) * step; view.y(y) > 0; y += step) {
+        pen.moveTo(0, Math.round(view.y(y)) + 0.5);
+        pen.lineTo(wide, Math.round(view.y(y)) + 0.5);
+    }
+    pen.stroke();
+}
+function paintFloor(pen: CanvasRenderingContext2D, view: View, plan: Floor, colour: Colour): void {
+    pen.strokeStyle = colour("--text");
+    pen.lineWidth = 2;
+    pen.beginPath();
+    for (const [x1, y1, x2, y2] of plan.lines) {
+        pen.moveTo(view.x(x1), view.y(y1));
+        pen.lineTo(view.x(x2), view.y(y2));
+    }
+    pen.stroke();
+    pen.font = "12px system-ui, sans-serif";
+    pen.fillStyle = colour("--quiet");
+    pen.textAlign = "center";
+    for (const { name, x, y } of plan.goals) {
+        pen.fillText("+", view.x(x), view.y(y) + 4);
+        if (view.scale > 45) pen.fillText(name, view.x(x), view.y(y) + 18);
+    }
+    pen.textAlign = "start";
+}
+/** What the beams see is free; sonars see in cones. */
+function paintFan(pen: CanvasRenderingContext2D, view: View, { x, y, yaw }: Place, scan: Scan, colour: string): void {
+    const reach = scan.maxRange > 0 ? scan.maxRange : Infinity;
+    const angle = (i: number): number => (yaw ?? 0) + (scan.angles[i] ?? scan.startAngle + i * scan.step);
+    const few = scan.ranges.length <= 32;
+    pen.fillStyle = colour;
+    pen.globalAlpha = few ? 0.22 : 0.13;
+    pen.beginPath();
+    pen.moveTo(view.x(x), view.y(y));
+    scan.ranges.forEach((range, i) => {
+        const far = Math.min(Number.isFinite(range) && range > 0 ? range : 0, reach);
+        if (few) {
+            pen.moveTo(view.x(x), view.y(y));
+            pen.arc(view.x(x), view.y(y), far * view.scale, -angle(i) - 0.13, -angle(i) + 0.13);
+        } else {
+            pen.lineTo(view.x(x + Math.cos(angle(i)) * far), view.y(y + Math.sin(angle(i)) * far));
+        }
+    });
+    pen.fill();
+    pen.globalAlpha = 1;
+    if (few) return;
+    scan.ranges.forEach((range, i) => {
+        if (Number.isFinite(range) && range > 0 && range < reach * 0.995) pen.fillRect(view.x(x + Math.cos(angle(i)) * range) - 1.25, view.y(y + Math.sin(angle(i)) * range) - 1.25, 2.5, 2.5);
+    });
+}
+function paint(pen: CanvasRenderingContext2D, view: View, seen: readonly Seen[], plan: Floor | undefined, colour: Colour): void {
+    paintGrid(pen, view, colour);
+    const places = seen.map(placeOf);
+    const at = performance.now();
+    for (const place of places) {
+        for (const { scan, at: then } of place.live?.scans.values() ?? []) if (at - then < OLD_MS) paintFan(pen, view, place, scan, colour(scan.ranges.length <= 32 ? "--plot-2" : "--accent"));
+    }
+    if (plan !== undefined) paintFloor(pen, view, plan, colour);
+    places.forEach(({ live }, i) => {
+        if (live === undefined || live.trail.length < 2) return;
+        pen.strokeStyle = colour(`--plot-${(i % 6) + 1}`);
+        pen.lineWidth = 2;
+        pen.setLineDash([5, 4]);
+        pen.beginPath();
+        live.trail.forEach((one, at) => (at === 0 ? pen.moveTo(view.x(one.x), view.y(one.y)) : pen.lineTo(view.x(one.x), view.y(one.y))));
+        pen.stroke();
+        pen.setLineDash([]);
+    });
+}
+
+async function choose(file: File | undefined): Promise<void> {
+    if (file === undefined) return;
+    if (await openFloor(file)) return;
+    say("bad", `${file.name} is not shown.`, "It is no map of Mapper3 with lines. Choose a file that begins with the line 2D-Map.");
+}
 
 export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX.Element {
-    const xs = seen.map(({ entity }) => entity.xMm / 1000);
-    const ys = seen.map(({ entity }) => entity.yMm / 1000);
-    const low = { x: Math.min(...xs), y: Math.min(...ys) };
-    const span = { x: Math.max(Math.max(...xs) - low.x, 1), y: Math.max(Math.max(...ys) - low.y, 0.6) };
-    const scale = Math.min((WIDE - 2 * EDGE) / span.x, (HIGH - 2 * EDGE) / span.y);
-    const left = (WIDE - span.x * scale) / 2;
-    const foot = (HIGH + span.y * scale) / 2;
-    const at = (x: number, y: number): { x: number; y: number } => ({ x: left + (x - low.x) * scale, y: foot - (y - low.y) * scale });
-    const step = stepOf(Math.max(WIDE, HIGH) / scale);
-    const lines = (from: number, to: number): number[] => Array.from({ length: Math.min(Math.ceil((to - from) / step) + 2, 60) }, (_, i) => (Math.floor(from / step) + i) * step);
+    const box = useRef<HTMLDivElement>(null);
+    const canvas = useRef<HTMLCanvasElement>(null);
+    const [size, setSize] = useState({ wide: 0, high: 0 });
+    const fresh = seen.filter((one) => one.fresh);
+    useLive(fresh.slice(0, LIVE_MAX).map(({ entity }) => entity.id), MAPPED, LABELS_MS);
+    const plan = floor.value;
+    const places = seen.map(placeOf);
+    const { wide, high } = size;
+    const view = viewOf(places, plan, Math.max(wide, 1), Math.max(high, 1));
+    const latest = useRef({ seen, view, plan });
+    latest.current = { seen, view, plan };
+    useEffect(() => {
+        const place = box.current;
+        if (place === null) return undefined;
+        const observer = new ResizeObserver(() => setSize({ wide: place.clientWidth, high: place.clientHeight }));
+        observer.observe(place);
+        let frame = 0;
+        const timer = setInterval(() => {
+            cancelAnimationFrame(frame);
+            frame = requestAnimationFrame(() => {
+                const its = latest.current;
+                if (canvas.current !== null) draw(canvas.current, (pen, _wide, _high, colour) => paint(pen, its.view, its.seen, its.plan, colour));
+            });
+        }, DRAW_MS);
+        return () => {
+            observer.disconnect();
+            clearInterval(timer);
+            cancelAnimationFrame(frame);
+        };
+    }, []);
     // Several at one place stand beside each other.
     const taken = new Map<string, number>();
     return (
         <figure class="map">
-            <svg viewBox={`0 0 ${WIDE} ${HIGH}`} role="group" aria-label="Map of the laboratory">
-                <g class="grid" aria-hidden="true">
-                    {lines(low.x - left / scale, low.x + (WIDE - left) / scale).map((x) => (
-                        <line key={`x${x}`} x1={at(x, 0).x} x2={at(x, 0).x} y1={0} y2={HIGH} />
-                    ))}
-                    {lines(low.y - (HIGH - foot) / scale, low.y + foot / scale).map((y) => (
-                        <line key={`y${y}`} x1={0} x2={WIDE} y1={at(0, y).y} y2={at(0, y).y} />
-                    ))}
-                </g>
-                {seen.map(({ entity, fresh }) => {
-                    const { x, y } = at(entity.xMm / 1000, entity.yMm / 1000);
-                    const place = `${Math.round(x / 12)} ${Math.round(y / 12)}`;
-                    const before = taken.get(place) ?? 0;
-                    taken.set(place, before + 1);
-                    const { tone, short } = plainState(entity);
-                    return (
-                        <g key={entity.id} transform={`translate(${x} ${y + before * 26})`}>
-                            <a href={linkTo("entity", entity.id)} class={`spot ${tone} ${fresh ? "" : "stale"}`} aria-label={`${entity.name}, ${short}`}>
-                                <circle r={entity.type === "MOBILE" ? 11 : 9} />
-                                <text x="17" y="5">
-                                    {entity.name.slice(0, 24)} {marks[tone]}
-                                </text>
-                            </a>
-                        </g>
-                    );
-                })}
-            </svg>
-            <figcaption class="quiet">Positions are those of the profiles, where the robots were set up. One square is {formatNumber(step)} m.</figcaption>
+            <div
+                class="plane"
+                ref={box}
+                onDragOver={(event) => event.preventDefault()}
+                onDrop={(event) => {
+                    event.preventDefault();
+                    void choose(event.dataTransfer?.files[0]);
+                }}
+            >
+                <canvas ref={canvas} aria-hidden="true" />
+                <svg viewBox={`0 0 ${Math.max(wide, 1)} ${Math.max(high, 1)}`} role="group" aria-label="Map of the laboratory">
+                    {wide > 0 &&
+                        seen.map(({ entity, fresh: current }, i) => {
+                            const its = places[i] ?? { x: 0, y: 0, yaw: undefined };
+                            const x = view.x(its.x);
+                            const y = view.y(its.y);
+                            const square = `${Math.round(x / 12)} ${Math.round(y / 12)}`;
+                            const before = taken.get(square) ?? 0;
+                            taken.set(square, before + 1);
+                            const { tone, short } = plainState(entity);
+                            const back = x > wide * 0.75;
+                            return (
+                                <g key={entity.id} transform={`translate(${x.toFixed(1)} ${(y + before * (y > high * 0.7 ? -30 : 30)).toFixed(1)})`}>
+                                    <a href={linkTo("entity", entity.id)} class={`spot ${tone} ${current ? "" : "stale"}`} data-spot={entity.name} data-live={its.yaw === undefined ? "no" : "yes"} aria-label={`${entity.name}, ${short}`}>
+                                        <circle r={Math.max(entity.type === "MOBILE" ? 11 : 9, Math.min(view.scale * 0.22, 26))} />
+                                        {its.yaw !== undefined && <path class="nose" d="M10 0L-6 6L-3 0L-6 -6Z" transform={`rotate(${((-its.yaw * 180) / Math.PI).toFixed(1)})`} />}
+                                        <text x={back ? -Math.max(17, view.scale * 0.22 + 6) : Math.max(17, Math.min(view.scale * 0.22, 26) + 6)} y="5" text-anchor={back ? "end" : "start"}>
+                                            {entity.name.slice(0, 24)}
+                                            <tspan class="mark" dx="5">
+                                                {tone === "good" ? short : `${marks[tone]} ${short}`}
+                                            </tspan>
+                                        </text>
+                                    </a>
+                                </g>
+                            );
+                        })}
+                </svg>
+            </div>
+            <figcaption class="quiet">
+                <span>
+                    One square is {formatNumber(view.step)} m. An arrow is a robot that sends where it is now; the others stand where their profile says. Blue: seen by lasers. Orange: by sonars. Dashed: driven.
+                </span>
+                <span class="row">
+                    <label class="button">
+                        {plan === undefined ? "Show walls from a map file" : "Another map file"}
+                        <input class="unseen" type="file" onChange={(event) => (void choose(event.currentTarget.files?.[0]), (event.currentTarget.value = ""))} />
+                    </label>
+                    {plan !== undefined && (
+                        <button type="button" onClick={closeFloor}>
+                            Without {plan.name}
+                        </button>
+                    )}
+                </span>
+            </figcaption>
         </figure>
     );
 }

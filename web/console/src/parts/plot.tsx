@@ -9,7 +9,7 @@ export interface Series {
     readonly values: (number | null)[][];
 }
 const DRAW_MS = 100;
-const HIGH = 130;
+const HIGH = 190;
 const load = async (): Promise<typeof uPlot> => (await Promise.all([import("uplot"), import("uplot/dist/uPlot.min.css")]))[0].default;
 export function loadPlots(): void {
     load().catch(() => undefined);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // A form made from the profile of a service. Nothing here knows any service.
 import { acceptValue, type Argument, type Entity, parseValue, Refusal, type Parameter, type Resource, type Service, type Value } from "@axon/client";
-import { useId, useRef, useState } from "preact/hooks";
+import { useId, useState } from "preact/hooks";
+import { openFloor } from "../state/floor";
 import type { Hold } from "../state/holds";
 import { fieldText, formatBytes, formatNumber, formatValue, formatValues, plainNumber } from "../words/format";
 import { plainLoss, sentence } from "../words/words";
@@ -137,10 +138,29 @@ function Setting({ service, meta, hold }: { readonly service: Service; readonly 
 
 function ResourceRow({ service, resource, hold }: { readonly service: Service; readonly resource: Resource; readonly hold: Hold | undefined }): preact.JSX.Element {
     const id = useId();
-    const input = useRef<HTMLInputElement>(null);
+    const [over, setOver] = useState(false);
     const upload = hold?.uploads.value.get(`${service.name}\n${resource.name}`);
+    const ready = hold !== undefined && upload?.state !== "sending";
+    const take = (file: File | undefined): void => {
+        if (file === undefined || hold === undefined || !ready) return;
+        void openFloor(file);
+        void hold.upload(service.name, resource, file);
+    };
     return (
-        <div class="resource">
+        <div
+            class={`resource ${over ? "over" : ""}`}
+            data-resource={resource.name}
+            onDragOver={(event) => {
+                event.preventDefault();
+                setOver(ready);
+            }}
+            onDragLeave={() => setOver(false)}
+            onDrop={(event) => {
+                event.preventDefault();
+                setOver(false);
+                take(event.dataTransfer?.files[0]);
+            }}
+        >
             <label for={id}>
                 {resource.name} <Badge tone={resource.ready ? "good" : resource.required ? "bad" : "off"}>{resource.ready ? `there${resource.size > 0 ? `, ${formatBytes(resource.size)}` : ""}` : resource.required ? "missing" : "not there"}</Badge>
                 {resource.required && <span class="required"> required</span>}
@@ -148,21 +168,25 @@ function ResourceRow({ service, resource, hold }: { readonly service: Service; r
             {resource.descr !== "" && <span class="about">{sentence(resource.descr)}</span>}
             <input
                 id={id}
-                ref={input}
                 type="file"
-                disabled={hold === undefined || upload?.state === "sending"}
+                disabled={!ready}
                 onChange={(event) => {
-                    const file = event.currentTarget.files?.[0];
-                    if (file !== undefined && hold !== undefined) void hold.upload(service.name, resource, file);
+                    take(event.currentTarget.files?.[0]);
                     event.currentTarget.value = "";
                 }}
             />
+            {ready && <span class="about quiet">or drop the file here</span>}
             {upload !== undefined && (
                 <div class="upload">
                     <Progress value={upload.total > 0 ? upload.sent / upload.total : 1} label={`Upload of ${upload.file}`} />
                     <span role="status">
                         {upload.file}: {upload.state === "done" ? "uploaded" : upload.state === "failed" ? `not uploaded. ${upload.why}` : `${formatBytes(upload.sent)} of ${formatBytes(upload.total)}`}
                     </span>
+                    {upload.sha256 !== "" && (
+                        <span class="quiet hash" title="SHA-256 of the file. The robot checks it.">
+                            SHA-256 <code>{upload.sha256}</code>
+                        </span>
+                    )}
                     {upload.state === "sending" && (
                         <button type="button" onClick={() => upload.abort.abort()}>
                             Cancel the upload

@@ -3,7 +3,7 @@
 import type { Picture, Pose, Sample, Scan } from "@axon/client";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { client } from "../state/session";
-import { formatCount, formatNumber } from "../words/format";
+import { formatCount, formatNumber, formatRough } from "../words/format";
 import { Empty } from "./small";
 import { Plot, type Series } from "./plot";
 
@@ -61,7 +61,7 @@ class Channel {
 }
 
 /** Draws into a canvas that is as sharp as the screen. */
-function draw(canvas: HTMLCanvasElement, paint: (pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string) => void): void {
+export function draw(canvas: HTMLCanvasElement, paint: (pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string) => void): void {
     const wide = canvas.clientWidth;
     const high = canvas.clientHeight;
     const sharp = devicePixelRatio || 1;
@@ -131,6 +131,9 @@ function paintTrail(pose: Pose, trail: readonly { x: number; y: number }[], pen:
         pen.lineTo(wide, at({ x: 0, y: metre })[1]);
         pen.stroke();
     }
+    pen.fillStyle = colour("--quiet");
+    pen.font = "11px system-ui, sans-serif";
+    pen.fillText(`One square is ${formatNumber(scale < 8 ? 10 : 1)} m`, 8, high - 8);
     pen.strokeStyle = colour("--accent");
     pen.lineWidth = 2;
     pen.beginPath();
@@ -217,7 +220,7 @@ function valueOf({ content }: Sample): string {
         case "scalar":
             return `${formatNumber(content.value)}${content.units === "" ? "" : ` ${content.units}`}`;
         case "vector":
-            return `${content.values.slice(0, 4).map(formatNumber).join(" · ")}${content.values.length > 4 ? " …" : ""}${content.units === "" ? "" : ` ${content.units}`}`;
+            return `${content.values.slice(0, 4).map(formatRough).join(" · ")}${content.values.length > 4 ? " …" : ""}${content.units === "" ? "" : ` ${content.units}`}`;
         case "pose":
             return `x ${formatNumber(Math.round(content.x * 1000) / 1000)} m, y ${formatNumber(Math.round(content.y * 1000) / 1000)} m, ${formatNumber(Math.round((content.yaw * 1800) / Math.PI) / 10)}°`;
         case "scan":

@@ -43,6 +43,8 @@ export interface Upload {
     readonly file: string;
     readonly sent: number;
     readonly total: number;
+    /** In hexadecimal digits; empty = not known yet. */
+    readonly sha256: string;
     readonly state: "sending" | "done" | "failed";
     readonly why: string;
     readonly abort: AbortController;
@@ -137,12 +139,12 @@ export class Hold {
         const put = (more: Partial<Upload>): void => {
             const before = this.uploads.value.get(key);
             const all = new Map(this.uploads.value);
-            all.set(key, { service, resource: resource.name, file: file.name, sent: 0, total: file.size, state: "sending", why: "", abort, ...(before?.abort === abort ? before : {}), ...more });
+            all.set(key, { service, resource: resource.name, file: file.name, sent: 0, total: file.size, sha256: "", state: "sending", why: "", abort, ...(before?.abort === abort ? before : {}), ...more });
             this.uploads.value = all;
         };
         put({});
         try {
-            await this.checkOut.upload(service, resource.name, file, { signal: abort.signal, onProgress: (sent, total) => put({ sent, total }) });
+            await this.checkOut.upload(service, resource.name, file, { signal: abort.signal, onHash: (sum) => put({ sha256: [...sum].map((byte) => byte.toString(16).padStart(2, "0")).join("") }), onProgress: (sent, total) => put({ sent, total }) });
             put({ state: "done", sent: file.size });
             this.services.value = this.checkOut.services();
             note("task", this.entity, `${file.name} was uploaded as ${resource.name}`);

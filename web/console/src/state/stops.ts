@@ -5,6 +5,7 @@ import { computed, signal } from "@preact/signals";
 import { entities } from "./entities";
 import { holds, onUnseen } from "./holds";
 import { asRefusal, note } from "./journal";
+import { measureStop } from "./measures";
 import { route } from "./route";
 import { client } from "./session";
 
@@ -63,7 +64,7 @@ export function putAway(): void {
 
 let count = 0;
 /** Stops at once; no question, no lease. */
-export async function stop(ids: readonly string[] | "all", what: string): Promise<void> {
+export async function stop(ids: readonly string[] | "all", what: string, pressedAt = performance.now()): Promise<void> {
     const number = ++count;
     const update = (more: Partial<Order>): void => {
         if (order.value?.number === number) order.value = { ...order.value, ...more };
@@ -81,8 +82,10 @@ export async function stop(ids: readonly string[] | "all", what: string): Promis
     update({ trouble: cut });
     if (its === undefined) return update({ done: true });
     try {
+        const before = performance.now() - pressedAt;
         const receipts = await its.stop(ids === "all" ? "all" : [...ids], { deadlineMs: CONFIRM_MS, standstillMs: STANDSTILL_MS, onProgress: heard });
         heard(receipts);
+        measureStop(receipts, before);
         for (const one of receipts) note("stop", { id: one.entity, name: one.name }, summary(one).text);
         update({ done: true, trouble: receipts.length === 0 && ids !== "all" ? "No entity has answered." : (order.value?.trouble ?? "") });
         if (receipts.length > 0 && receipts.every(({ confirmed }) => confirmed)) update({ trouble: "" });
@@ -92,8 +95,9 @@ export async function stop(ids: readonly string[] | "all", what: string): Promis
         update({ done: true, trouble: cut !== "" ? cut : `${why.message} If a robot moves, use its own emergency stop.` });
     }
 }
-export function press(which: Scope = scope.peek()): void {
-    void stop(which === "all" ? "all" : which === "these" ? these.peek() : [...holds.peek().keys()], describe(which));
+/** `at`: when the finger or the key went down, on the clock of performance.now(). */
+export function press(which: Scope = scope.peek(), at = performance.now()): void {
+    void stop(which === "all" ? "all" : which === "these" ? these.peek() : [...holds.peek().keys()], describe(which), at);
 }
 onUnseen((ids) => void stop(ids, ids.map(nameOf).join(", ")));
 
@@ -117,7 +121,7 @@ addEventListener(
         const at = performance.now();
         if (at - escapedAt < TWICE_MS && client.peek() !== undefined) {
             escapedAt = -Infinity;
-            press();
+            press(scope.peek(), event.timeStamp);
         } else {
             escapedAt = at;
         }

@@ -4,6 +4,7 @@ import type { Value } from "@axon/client";
 
 const languages = typeof navigator === "undefined" ? ["en"] : navigator.languages;
 const number = new Intl.NumberFormat(languages, { maximumSignificantDigits: 6 });
+const rough = new Intl.NumberFormat(languages, { maximumSignificantDigits: 4 });
 const whole = new Intl.NumberFormat(languages, { maximumFractionDigits: 0 });
 const percents = new Intl.NumberFormat(languages, { style: "percent", maximumFractionDigits: 0 });
 const clock = new Intl.DateTimeFormat(languages, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
@@ -11,6 +12,8 @@ const day = new Intl.DateTimeFormat(languages, { dateStyle: "medium", timeStyle:
 const decimal = number.formatToParts(1.5).find(({ type }) => type === "decimal")?.value ?? ".";
 
 export const formatNumber = (value: number): string => (Number.isFinite(value) ? number.format(value) : String(value));
+/** For what changes as one reads it. */
+export const formatRough = (value: number): string => (Number.isFinite(value) ? rough.format(value) : String(value));
 export const formatCount = (value: number): string => whole.format(value);
 export const formatPercent = (value: number): string => percents.format(Math.min(Math.max(value, 0), 1));
 export const formatClock = (ms: number): string => clock.format(ms);

@@ -1,21 +1,41 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The console in real Chromium, with a real server, Entity Managers and robot applications.
 import assert from "node:assert/strict";
+import { createHash } from "node:crypto";
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { goTo, House, obstacles, openEntity, ROOT, runButton } from "./support.mjs";
+import { checkOut, closeBrowser, fillAll, goTo, House, obstacles, openEntity, ROOT, runButton, throttleable } from "./support.mjs";
 
 const PAGES = ["#/", "#/collaboration", "#/activity", "#/stop"];
+
+const HOSTILE = '"><img src=x onerror="globalThis.hacked=1"><script>globalThis.hacked=2</script>{{7*7}}';
+const asXml = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
 
 /** @type {House} */
 let house;
 let greeter;
 before(async () => {
-    house = await House.open();
+    const jobs = mkdtempSync(join(tmpdir(), "axon-jobs-"));
+    after(() => rmSync(jobs, { recursive: true, force: true }));
+    writeFileSync(
+        join(jobs, "hostile.xml"),
+        `<?xml version="1.0"?>
+<GlobalProfile count="1">
+  <Service name="Job &lt;b&gt;bold" descr="${asXml(HOSTILE)}">
+    <entity category="ROBOT" type="MOBILE" id="0" service_global_id="&lt;img src=x onerror=alert(1)&gt;" preced="1"/>
+  </Service>
+</GlobalProfile>`,
+    );
+    house = await House.open({ globalServices: jobs });
     greeter = house.startGreeter();
     house.lab.startCounter("Axon.LeaseGrace=20\n");
 });
-after(async () => house?.end());
+after(async () => {
+    await house?.end();
+    await closeBrowser();
+});
 
 test("ANewcomerFinishesATask", async () => {
     const page = await house.person();
@@ -128,6 +148,81 @@ test("AHiddenTabStopsItsRobotAfterAWarning", async () => {
     await page.context().close();
 });
 
+test("ABackgroundTabWithoutTimersKeepsItsRobot", async () => {
+    const programs = house.startPatientCounter();
+    const [page, watcher] = await Promise.all([house.person({ name: "client1", script: throttleable }), house.person({ name: "client2" })]);
+    await openEntity(page, "Patient");
+    await checkOut(page, "Patient");
+    await page.locator(".fields").getByLabel("To").fill("250");
+    await runButton(page, "Count").click();
+    await page.locator("[data-task=RUNNING]").waitFor();
+    await page.evaluate(() => globalThis.throttle(true));
+    const card = watcher.locator("[data-entity=Patient]");
+    await card.locator(".badge", { hasText: "BUSY" }).waitFor();
+    await card.locator(".badge", { hasText: "REG" }).waitFor({ timeout: 15_000 }); // 5 s later, which is more than a watchdog
+    assert.match(await card.innerText(), /client1@web/);
+    await goTo(watcher, "#/activity");
+    assert.equal(await watcher.locator(".entries li", { hasText: "Patient" }).filter({ hasText: /is lost|was stopped/ }).count(), 0);
+    await page.evaluate(() => globalThis.throttle(false));
+    await page.locator("[data-task=SUCCEEDED]").waitFor();
+    await page.getByRole("button", { name: "Release it" }).click();
+    await goTo(watcher, "#/");
+    await Promise.all([programs.app.end(), programs.manager.end()]);
+    await card.waitFor({ state: "detached" });
+    await Promise.all([page.context().close(), watcher.context().close()]);
+});
+
+test("ActivityTellsWhatWasRefusedAndHowFastStopsAre", async () => {
+    const page = await house.person();
+    await openEntity(page, "Counter");
+    await page.locator(".dock .stop").click();
+    await page.getByText("Confirmed by it.").waitFor();
+    await page.locator(".dock").getByRole("button", { name: "Rearm Counter" }).click();
+    await page.getByText("Counter is rearmed.").waitFor();
+    await goTo(page, "#/activity");
+    const figures = (title) => page.getByRole("region", { name: title, exact: true }).locator(".figures", { hasText: "measured" });
+    for (const title of ["Stops, confirmed", "To a robot and back", "To an Entity Manager and back"]) {
+        await figures(title).waitFor();
+        const text = await figures(title).innerText();
+        assert.match(text, /^\d+ measured: half within [\d.,]+ ms, 95 % within [\d.,]+ ms, the longest [\d.,]+ ms\.$/);
+        await page.getByRole("img", { name: new RegExp(`^${title}: `) }).waitFor();
+    }
+    await page.locator("[data-margins=Counter] .figures", { hasText: / ms of / }).first().waitFor();
+    await page.getByRole("button", { name: "States" }).click();
+    assert.equal(await page.locator(".entries [data-kind=state], .entries li.state").count(), 0);
+    await page.getByRole("searchbox", { name: "Search" }).fill("counter stops");
+    await page.locator(".entries li", { hasText: "this page stops Counter" }).waitFor();
+    assert.equal(await page.locator(".entries li", { hasText: "Greeter" }).count(), 0);
+    await page.context().close();
+});
+
+test("PeopleFindARobotByWhatItIsAndCanDo", async () => {
+    const page = await house.person({ name: "client1" });
+    await page.locator("[data-entity=Counter]").waitFor();
+    const names = () => page.locator("[data-entity]").evaluateAll((all) => all.map((one) => one.dataset.entity));
+    await page.getByLabel("Service").locator("option", { hasText: "Greet" }).waitFor({ state: "attached" });
+    await page.getByLabel("Service").selectOption("Greet");
+    assert.deepEqual(await names(), ["Greeter"]);
+    await page.getByRole("heading", { name: "1 of 2" }).waitFor();
+    await page.getByLabel("Service").selectOption("any");
+    await page.getByLabel("State").selectOption("mine");
+    await page.getByText("None of the 2 robots fits.").waitFor();
+    await page.getByRole("button", { name: "Show all" }).click();
+    assert.deepEqual(await names(), ["Counter", "Greeter"]);
+    for (const [label, count] of [
+        ["Category", 1],
+        ["Type", 1],
+    ]) {
+        const options = page.getByLabel(label).locator("option");
+        assert.ok((await options.count()) > count, label);
+        const value = await options.nth(1).getAttribute("value");
+        await page.getByLabel(label).selectOption(value);
+        assert.ok((await names()).length > 0);
+        await page.getByLabel(label).selectOption("any");
+    }
+    await page.context().close();
+});
+
 test("TheServerIsStartedAgain", async () => {
     const page = await house.person();
     await openEntity(page, "Greeter");
@@ -141,7 +236,12 @@ test("TheServerIsStartedAgain", async () => {
     await page.locator(".dock .stop").click();
     await page.getByText(/this stop may reach nobody/).waitFor();
     await goTo(page, "#/");
-    await page.locator("[data-entity=Greeter].stale", { hasText: "as it was" }).waitFor();
+    await page.locator("[data-entity=Greeter].stale", { hasText: /as it was (a moment|\d+ s) ago/ }).waitFor();
+    assert.match(await page.locator("[data-entity=Greeter]").evaluate((one) => getComputedStyle(one).filter), /grayscale/);
+    for (const where of PAGES) {
+        await goTo(page, where);
+        await page.locator(".banner.bad", { hasText: "No connection to the server" }).waitFor();
+    }
     await house.startServer();
     await page.locator("[data-connection=connected]").waitFor();
     await page.locator("[data-entity=Greeter].mine:not(.stale)", { hasText: "Yours" }).waitFor({ timeout: 15_000 });
@@ -158,8 +258,6 @@ test("TheServerIsStartedAgain", async () => {
     await page.context().close();
 });
 
-const HOSTILE = '"><img src=x onerror="globalThis.hacked=1"><script>globalThis.hacked=2</script>{{7*7}}';
-const asXml = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
 test("TextsAreNeverMarkup", async () => {
     // Two applications of one name are one too many, so the first one goes.
     await Promise.all([greeter.app.end(), greeter.manager.end()]);
@@ -180,12 +278,21 @@ test("TextsAreNeverMarkup", async () => {
     await page.locator("[data-task=SUCCEEDED]").waitFor();
     assert.match(await page.locator("[data-task]").innerText(), /Hello, "><img src=x/);
     await page.locator("summary", { hasText: "Messages" }).click();
-    await page.getByLabel("Message to the robot application").fill(HOSTILE);
+    assert.ok((await fillAll(page, HOSTILE)) >= 3);
     await page.getByRole("button", { name: "Send" }).click();
+    await page.locator(".messages .sent", { hasText: "<img src=x" }).waitFor();
     for (const where of PAGES) {
         await goTo(page, where);
-        for (const field of await page.locator("input[type=search]").all()) await field.fill(HOSTILE);
+        await fillAll(page, HOSTILE);
     }
+    await goTo(page, "#/collaboration");
+    await page.getByRole("heading", { name: "Job <b>bold", exact: true }).waitFor();
+    await page.getByRole("button", { name: /^Plan it Job/ }).click();
+    await page.getByText("No robot that is connected offers:").waitFor();
+    await page.getByRole("button", { name: /^Your name:/ }).click();
+    await page.getByLabel("Your name, as others see it").fill(HOSTILE);
+    await page.getByLabel("Your name, as others see it").press("Enter");
+    await page.locator("[data-connection=connected]").waitFor();
     for (const hash of [`#/entity/${encodeURIComponent(HOSTILE)}`, "#/%E0%A4%A", `#/${HOSTILE}`]) {
         await goTo(page, hash);
         await page.locator(".dock .stop").waitFor();
@@ -231,8 +338,16 @@ test("AFileIsUploadedAndSeveralRobotsWorkTogether", async () => {
         await openEntity(page, "Plotter");
         await page.getByRole("button", { name: "Check out Plotter" }).click();
         await page.getByText("Still missing: Size, the file Drawing.").waitFor();
-        await page.getByLabel("Drawing").setInputFiles(join(ROOT, "examples/03_parameters/house.txt"));
+        const file = readFileSync(join(ROOT, "examples/03_parameters/house.txt"), "utf8");
+        const dragged = await page.evaluateHandle((text) => {
+            const all = new DataTransfer();
+            all.items.add(new File([text], "house.txt"));
+            return all;
+        }, file);
+        await page.locator("h1").dispatchEvent("drop", { dataTransfer: dragged }); // beside its place: the page stays
+        await page.locator("[data-resource=Drawing]").dispatchEvent("drop", { dataTransfer: dragged });
         await page.getByText("house.txt: uploaded").waitFor();
+        assert.equal(await page.locator(".hash code").innerText(), createHash("sha256").update(file).digest("hex"));
         await page.getByLabel("Size").fill("100");
         await page.getByLabel("Color").selectOption("blue");
         await page.getByLabel("Speed").fill("800");
@@ -246,6 +361,7 @@ test("AFileIsUploadedAndSeveralRobotsWorkTogether", async () => {
         await page.getByText("It can be run as it is. Nothing has moved.").waitFor();
         await page.getByRole("button", { name: "Run Go home" }).click();
         await page.locator("[data-run=SUCCEEDED] .timeline li.good").nth(1).waitFor({ timeout: 20_000 });
+        assert.equal(await page.locator("[data-run=SUCCEEDED] .chart .lane .bar.good").count(), 2);
         assert.deepEqual(own.complaints, []);
     } finally {
         await own.end();
@@ -341,7 +457,67 @@ test("AnotherUserLogsInWithTheSameBrowser", async () => {
     }
 });
 
-test("NothingComesFromElsewhereAndNothingIsBlocked", () => {
+test("TheTransportIsRunFromTheConsole", { timeout: 240_000 }, async () => {
+    const own = await House.open({ globalServices: join(ROOT, "lab/globalservices"), transport: true });
+    try {
+        const page = await own.person({ name: "client1", width: 1440, height: 900 });
+        page.setDefaultTimeout(30_000);
+        await openEntity(page, "PeopleBot");
+        await checkOut(page, "PeopleBot");
+        await page.getByRole("tab", { name: "Navigation", exact: true }).click();
+        await page.locator("[data-resource=Map] input").setInputFiles(join(ROOT, "lab/worlds/transport.map"));
+        await page.getByText("transport.map: uploaded").waitFor();
+        // The page knows the walls from then on, and draws the robot where it is.
+        await goTo(page, "#/");
+        await page.locator("[data-entity=PeopleBot] .battery", { hasText: " V" }).waitFor();
+        await page.getByRole("button", { name: "Map", exact: true }).click();
+        await page.locator("[data-spot=PeopleBot][data-live=yes]").waitFor();
+        await page.getByRole("button", { name: "Without transport.map" }).waitFor();
+        await goTo(page, "#/collaboration");
+        await page.getByRole("button", { name: "Plan it Transport", exact: true }).click();
+        await page.getByLabel(/^Role 1/).selectOption({ label: "PeopleBot" });
+        await page.getByLabel(/^Role 2/).selectOption({ label: "Cyton" });
+        await page.getByRole("button", { name: "Check out the other 1" }).click();
+        await page.getByRole("button", { name: "Check, nothing moves" }).click();
+        await page.getByText("It can be run as it is. Nothing has moved.").waitFor();
+        await page.getByRole("button", { name: "Run Transport", exact: true }).click();
+        const run = page.locator("section[aria-label='Run of Transport']");
+        await run.locator(".timeline li.good", { hasText: "Cyton" }).waitFor({ timeout: 60_000 });
+        await run.locator(".timeline li.busy", { hasText: "PeopleBot" }).waitFor();
+        if (process.env.AXON_LONG_TRIALS === "1") {
+            await page.locator("[data-run=SUCCEEDED]").nth(1).waitFor({ timeout: 180_000 });
+        } else {
+            await run.getByRole("button", { name: "Stop all of them" }).click();
+            await page.getByText("Confirmed by all 2.").waitFor();
+            await page.locator("[data-run=STOPPED]").waitFor();
+        }
+        assert.deepEqual(own.complaints, []);
+    } finally {
+        await own.end();
+    }
+});
+
+test("NothingComesFromElsewhereAndNothingIsBlocked", async () => {
+    const page = await house.person();
+    await page.locator("main h1").waitFor();
+    const policy = (await page.request.get(house.url)).headers()["content-security-policy"] ?? "";
+    assert.match(policy, /script-src|default-src/);
+    assert.doesNotMatch(policy, /unsafe-/);
+    const before = house.complaints.length;
+    const refused = await page.evaluate(() => {
+        const script = document.createElement("script");
+        script.textContent = "globalThis.hacked = 3";
+        document.head.append(script);
+        try {
+            return new Function("return 1")() === 1 ? "eval works" : "";
+        } catch (error) {
+            return error.name;
+        }
+    });
+    assert.equal(refused, "EvalError");
+    assert.equal(await page.evaluate(() => globalThis.hacked), undefined);
+    await page.context().close();
+    house.complaints.length = before; // the later ones are about the two of this test
     assert.deepEqual(house.foreign, []);
     assert.deepEqual(house.complaints, []);
 });
