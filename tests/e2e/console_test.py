@@ -226,12 +226,12 @@ class ConsoleTest(unittest.TestCase):
     def behind(self, kind):
         self.certs("init")
         self.certs("issue", "--server", "localhost")
-        port = self.base + 9
+        port = self.base + 10
         file = self.lab.folder / "server.cfg"
         file.write_text(f"Console.Proxies=https://localhost:{port}\n")
         self.start(*self.with_users(), "--config", file)
         certs = self.lab.folder / "certs"
-        fronts.start(kind, self.lab, name="localhost", port=port, pages=self.base + 7, sessions=self.base + 8, certs=certs)
+        fronts.start(kind, self.lab, name="localhost", port=port, base=self.base, certs=certs)
         ca = certs / "ca.cert.pem"
         browser = Browser(f"https://localhost:{port}/", ca)
         page = browser.ask("GET", "/")

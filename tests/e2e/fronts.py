@@ -23,11 +23,10 @@ def configuration(file, changes):
     return text
 
 
-def start(kind, lab, *, name, port, pages, sessions, certs):
-    """The proxy for https://NAME:PORT/, once it listens. `pages`, `sessions`: ports of the server on 127.0.0.1; `certs`: a
-    folder of `axon certs`."""
+def start(kind, lab, *, name, port, base, certs):
+    """The proxy for https://NAME:PORT/, once it listens. `base`: the server's --base-port; `certs`: a folder of `axon certs`."""
     pem, key = (str(certs / f"server-{name}.{what}.pem") for what in ("cert", "key"))
-    both = {"127.0.0.1:10417": f"127.0.0.1:{pages}", "127.0.0.1:10418": f"127.0.0.1:{sessions}",
+    both = {**{f"127.0.0.1:{10410 + its}": f"127.0.0.1:{base + its}" for its in (7, 8, 9)},
             "/etc/ssl/certs/lab.example.pem": pem, "/etc/ssl/private/lab.example.key": key}
     folder = lab.folder / kind
     folder.mkdir()
