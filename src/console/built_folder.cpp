@@ -82,17 +82,35 @@ fs::path consoleFolder(const fs::path& program) {
 BuiltFolder::BuiltFolder(fs::path folder, const Clock& clock, Note note)
     : folder_(std::move(folder)), clock_(clock), note_(std::move(note)) {}
 
-BuiltFolder::Mark BuiltFolder::mark() const {
-    struct stat facts {};
-    if (::lstat((folder_ / kFirstPage).c_str(), &facts) != 0 || !S_ISREG(facts.st_mode)) return {};
-    return {facts.st_ino, facts.st_mtim.tv_sec, facts.st_mtim.tv_nsec, facts.st_size};
+std::vector<BuiltFolder::Found> BuiltFolder::look() const {
+    std::vector<Found> all;
+    const auto add = [&](const fs::path& file) {
+        struct stat facts {};
+        if (::lstat(file.c_str(), &facts) != 0 || !S_ISREG(facts.st_mode)) return false;
+        all.push_back({file, facts.st_ino, facts.st_mtim.tv_sec, facts.st_mtim.tv_nsec, facts.st_size});
+        return true;
+    };
+    if (!add(folder_ / kFirstPage)) return {};
+    std::error_code failure;
+    fs::recursive_directory_iterator at(folder_, fs::directory_options::none, failure);
+    for (; !failure && at != fs::recursive_directory_iterator() && all.size() <= kFilesMax;
+         at.increment(failure)) {
+        std::error_code unknown;
+        const bool hidden = at->path().filename().string().starts_with('.');
+        if (fs::is_directory(at->symlink_status(unknown))) {
+            if (hidden || at.depth() > 8) at.disable_recursion_pending();
+        } else if (!hidden && at->path() != folder_ / kFirstPage) {
+            add(at->path());
+        }
+    }
+    return all;
 }
 
 std::shared_ptr<const BuiltFiles> BuiltFolder::files() {
     if (const auto now = clock_.now(); now >= looks_again_) {
         looks_again_ = now + kLook;
-        if (const auto its = mark(); its != mark_) {
-            mark_ = its;
+        if (auto found = look(); found != found_) {
+            found_ = std::move(found);
             read();
         }
     }
@@ -105,34 +123,22 @@ void BuiltFolder::read() {
     };
     std::map<std::string, Codings> found;
     std::size_t count = 0, bytes = 0, left_out = 0;
-    std::error_code failure;
-    if (mark_.size >= 0) {
-        fs::recursive_directory_iterator at(folder_, fs::directory_options::none, failure);
-        for (; !failure && at != fs::recursive_directory_iterator(); at.increment(failure)) {
-            std::error_code unknown;
-            const auto status = at->symlink_status(unknown);
-            const bool hidden = at->path().filename().string().starts_with('.');
-            if (fs::is_directory(status)) {
-                if (hidden || at.depth() > 8) at.disable_recursion_pending();
-                continue;
-            }
-            if (hidden || !fs::is_regular_file(status)) continue;
-            const auto path = "/" + at->path().lexically_relative(folder_).generic_string();
-            const auto content = ++count > kFilesMax || !isPlain(path)
-                                     ? nullptr
-                                     : contentOf(at->path(), std::min(kFileMax, kAllMax - bytes));
-            if (!content) {
-                ++left_out;
-                continue;
-            }
-            bytes += content->size();
-            const auto coding = at->path().extension().string();
-            if (coding == ".gz" || coding == ".br") {
-                auto& its = found[path.substr(0, path.size() - coding.size())];
-                (coding == ".gz" ? its.gzip : its.br) = content;
-            } else {
-                found[path].plain = content;
-            }
+    for (const auto& [file, inode, seconds, nanoseconds, size] : found_) {
+        const auto path = "/" + file.lexically_relative(folder_).generic_string();
+        const auto content = ++count > kFilesMax || !isPlain(path)
+                                 ? nullptr
+                                 : contentOf(file, std::min(kFileMax, kAllMax - bytes));
+        if (!content) {
+            ++left_out;
+            continue;
+        }
+        bytes += content->size();
+        const auto coding = file.extension().string();
+        if (coding == ".gz" || coding == ".br") {
+            auto& its = found[path.substr(0, path.size() - coding.size())];
+            (coding == ".gz" ? its.gzip : its.br) = content;
+        } else {
+            found[path].plain = content;
         }
     }
     auto files = std::make_shared<BuiltFiles>();

@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "common/clock.hpp"
 #include "console/core/console_core.hpp"
@@ -13,8 +14,9 @@ namespace axon::console {
 /// The folder with the built console, read as a whole: a request finds what was read and touches no path, so
 /// none leads out of the folder.
 ///
-/// It is read again when its index.html has changed, which is looked for once a second at most, when
-/// somebody asks: the console may be built while the server runs. Links, names that begin with '.' and what
+/// It is read again when a file has changed, come or gone, which is looked for once a second at most, when
+/// somebody asks: the console may be built while the server runs, and what was read half-way is then read
+/// again. Links, names that begin with '.' and what
 /// is no regular file are left out. Bounds: 2,000 files, each of 16 MiB, together 64 MiB; what exceeds them
 /// is left out, and the log says so. Files that only differ by ".gz" or ".br" are one file in several
 /// codings.
@@ -34,20 +36,22 @@ class BuiltFolder final : public FilesPort {
     std::string folder() const override { return folder_.string(); }
 
   private:
-    /// Of index.html: what changes when it is written anew.
-    struct Mark {
+    struct Found {
+        std::filesystem::path file;
+        /// What changes when it is written anew.
         std::uint64_t inode = 0;
-        std::int64_t seconds = 0, nanoseconds = 0, size = -1;
-        bool operator==(const Mark&) const = default;
+        std::int64_t seconds = 0, nanoseconds = 0, size = 0;
+        bool operator==(const Found&) const = default;
     };
-    Mark mark() const;
+    /// What there is to read, one more than kFilesMax at most; nothing where there is no first page.
+    std::vector<Found> look() const;
     void read();
 
     const std::filesystem::path folder_;
     const Clock& clock_;
     const Note note_;
     TimePoint looks_again_{};
-    Mark mark_;
+    std::vector<Found> found_;  // before it was read: what has changed meanwhile is noticed the next time
     std::shared_ptr<const BuiltFiles> files_ = std::make_shared<const BuiltFiles>();
 };
 

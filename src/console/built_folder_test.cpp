@@ -74,6 +74,25 @@ TEST_F(BuiltFolderTest, IsReadAgainWhenItsFirstPageHasChanged) {
     EXPECT_TRUE(folder().files()->empty());
 }
 
+TEST_F(BuiltFolderTest, ABuildThatWasReadHalfWayIsReadAgain) {
+    write("index.html", "<html>");
+    write("assets/a.js", "half");
+    EXPECT_EQ(folder().files()->size(), 2U);
+    write("assets/a.js", "half and the other half");
+    write("assets/a.js.br", "br");
+    write("assets/b.js", "another");
+    clock.advance(1s);
+    const auto files = folder().files();
+    EXPECT_EQ(files->size(), 3U) << "its first page has not changed";
+    EXPECT_EQ(*files->at("/assets/a.js").plain, "half and the other half");
+    EXPECT_NE(files->at("/assets/a.js").br, nullptr);
+    clock.advance(1s);
+    EXPECT_EQ(folder().files(), files) << "what has not changed is not read again";
+    fs::remove(root / "assets/b.js");
+    clock.advance(1s);
+    EXPECT_EQ(folder().files()->size(), 2U);
+}
+
 TEST_F(BuiltFolderTest, LeavesOutWhatIsTooLarge) {
     write("index.html", "<html>");
     write("large.bin", std::string(BuiltFolder::kFileMax + 1, 'x'));

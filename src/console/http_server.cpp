@@ -7,17 +7,20 @@
 #include <netinet/in.h>
 #include <poll.h>
 #include <pthread.h>
+#include <strings.h>
 #include <sys/socket.h>
 
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <map>
 #include <mutex>
 #include <optional>
 #include <set>
 #include <stdexcept>
 #include <system_error>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "common/descriptor.hpp"
@@ -68,9 +71,29 @@ struct Exchange {
 
 using ExchangePtr = std::shared_ptr<Exchange>;
 
-std::string header(MHD_Connection* connection, const char* name) {
-    const char* value = MHD_lookup_connection_value(connection, MHD_HEADER_KIND, name);
-    return value == nullptr ? std::string() : std::string(value);
+/// Of a header that is there several times, all values.
+std::string header(MHD_Connection* connection, const char* name, const char* between = ", ") {
+    struct Wanted {
+        const char* name;
+        const char* between;
+        bool there = false;
+        std::string value;
+    } its{name, between};
+    MHD_get_connection_values(
+        connection, MHD_HEADER_KIND,
+        [](void* cls, MHD_ValueKind, const char* key, const char* value) {
+            auto& wanted = *static_cast<Wanted*>(cls);
+            if (strcasecmp(key, wanted.name) != 0) return MHD_YES;
+            if (std::exchange(wanted.there, true)) wanted.value += wanted.between;
+            if (value != nullptr) wanted.value += value;
+            return MHD_YES;
+        },
+        &its);
+    return std::move(its.value);
+}
+
+bool has(MHD_Connection* connection, const char* name) {
+    return MHD_lookup_connection_value(connection, MHD_HEADER_KIND, name) != nullptr;
 }
 
 std::string endOf(int fd, int (*ask)(int, sockaddr*, socklen_t*)) {
@@ -80,6 +103,12 @@ std::string endOf(int fd, int (*ask)(int, sockaddr*, socklen_t*)) {
     char text[INET_ADDRSTRLEN] = {};
     inet_ntop(AF_INET, &its.sin_addr, text, sizeof text);
     return text + (":" + std::to_string(ntohs(its.sin_port)));
+}
+
+std::uint32_t addressOf(const sockaddr* its, socklen_t size) {
+    if (its == nullptr || size < static_cast<socklen_t>(sizeof(sockaddr_in)) || its->sa_family != AF_INET)
+        return 0;
+    return ntohl(reinterpret_cast<const sockaddr_in*>(its)->sin_addr.s_addr);
 }
 
 int descriptorOf(MHD_Connection* connection) {
@@ -154,7 +183,6 @@ struct HttpServer::Parts {
         std::vector<MHD_OptionItem> options{
             {MHD_OPTION_LISTEN_SOCKET, listener.get(), nullptr},
             {MHD_OPTION_CONNECTION_LIMIT, settings.connections_max, nullptr},
-            {MHD_OPTION_PER_IP_CONNECTION_LIMIT, settings.connections_of_one_max, nullptr},
             {MHD_OPTION_CONNECTION_MEMORY_LIMIT, kMemoryOfOne, nullptr},
             {MHD_OPTION_CONNECTION_TIMEOUT, kSilenceSeconds, nullptr},
             {MHD_OPTION_STRICT_FOR_CLIENT, 1, nullptr},
@@ -176,8 +204,8 @@ struct HttpServer::Parts {
             add(MHD_OPTION_HTTPS_PRIORITIES, versions);
         }
         options.push_back({MHD_OPTION_END, 0, nullptr});
-        daemon = MHD_start_daemon(flags, 0, nullptr, nullptr, &handle, this, MHD_OPTION_ARRAY, options.data(),
-                                  MHD_OPTION_END);
+        daemon = MHD_start_daemon(flags, 0, &mayConnect, this, &handle, this, MHD_OPTION_ARRAY,
+                                  options.data(), MHD_OPTION_END);
         if (daemon == nullptr)
             fail(settings.certificate.empty()
                      ? "cannot be served: no descriptors or no memory are left"
@@ -211,6 +239,23 @@ struct HttpServer::Parts {
         }
     }
 
+    unsigned mostOf(std::uint32_t address) const {
+        const bool proxy = settings.connections_of_proxy_max != 0 && (address >> 24U) == 127;
+        return proxy ? settings.connections_of_proxy_max : settings.connections_of_one_max;
+    }
+
+    static MHD_Result mayConnect(void* cls, const sockaddr* peer, socklen_t size) {
+        const auto& parts = *static_cast<const Parts*>(cls);
+        const auto address = addressOf(peer, size);
+        const auto found = parts.connections.find(address);
+        return found == parts.connections.end() || found->second < parts.mostOf(address) ? MHD_YES : MHD_NO;
+    }
+
+    static std::uint32_t peerOf(MHD_Connection* connection) {
+        const auto* info = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
+        return info == nullptr ? 0 : addressOf(info->client_addr, sizeof(sockaddr_in));
+    }
+
     static void connectionChanged(void* cls, MHD_Connection* connection, void** its,
                                   MHD_ConnectionNotificationCode what) {
         auto& parts = *static_cast<Parts*>(cls);
@@ -218,7 +263,11 @@ struct HttpServer::Parts {
             const int fd = descriptorOf(connection);
             *its = reinterpret_cast<void*>(static_cast<intptr_t>(fd));
             parts.deadlines->opened(fd);
+            ++parts.connections[peerOf(connection)];
         } else {
+            if (const auto its_peer = parts.connections.find(peerOf(connection));
+                its_peer != parts.connections.end() && --its_peer->second == 0)
+                parts.connections.erase(its_peer);
             parts.deadlines->closed(static_cast<int>(reinterpret_cast<intptr_t>(*its)));
         }
     }
@@ -246,6 +295,9 @@ struct HttpServer::Parts {
             exchange->request.method = method;
             exchange->request.path = url;
             *its = new ExchangePtr(std::move(exchange));
+            if (has(connection, MHD_HTTP_HEADER_TRANSFER_ENCODING) &&
+                has(connection, MHD_HTTP_HEADER_CONTENT_LENGTH))
+                return send(connection, {400, {{"Connection", "close"}}, nullptr});
             return MHD_YES;
         }
         const ExchangePtr exchange = *static_cast<ExchangePtr*>(*its);
@@ -281,10 +333,11 @@ struct HttpServer::Parts {
         deadlines->asked(fd);
         request.host = header(connection, MHD_HTTP_HEADER_HOST);
         request.origin = header(connection, MHD_HTTP_HEADER_ORIGIN);
-        request.cookie = header(connection, MHD_HTTP_HEADER_COOKIE);
+        request.cookie = header(connection, MHD_HTTP_HEADER_COOKIE, "; ");
         request.content_type = header(connection, MHD_HTTP_HEADER_CONTENT_TYPE);
         request.accept_encoding = header(connection, MHD_HTTP_HEADER_ACCEPT_ENCODING);
         request.if_none_match = header(connection, MHD_HTTP_HEADER_IF_NONE_MATCH);
+        request.forwarded_for = header(connection, "X-Forwarded-For");
         request.peer = endOf(fd, ::getpeername);
         request.local = endOf(fd, ::getsockname);
         core->handle(std::move(request), [exchange](Answer answer) { exchange->settle(std::move(answer)); });
@@ -302,6 +355,7 @@ struct HttpServer::Parts {
     // Of its thread only:
     std::optional<Deadlines> deadlines;
     std::set<ExchangePtr> waiting;
+    std::map<std::uint32_t, unsigned> connections;  // of each address
     std::thread thread;
 };
 

@@ -16,7 +16,8 @@ namespace axon::console {
 ///
 /// Threads: one of its own, "axon-console", for all connections; a log-in that takes its time holds up
 /// nobody. Bounds: Settings; the header of a request has at most 16 KiB, its body 4 KiB, and it must be
-/// complete in time (Deadlines). A connection beyond a bound is closed.
+/// complete in time (Deadlines). A connection beyond a bound is closed. A request that gives its length twice
+/// over (Transfer-Encoding and Content-Length) is refused: a proxy might see another request in it.
 class HttpServer {
   public:
     struct Settings {
@@ -26,7 +27,10 @@ class HttpServer {
         std::string certificate, key, key_password;
         unsigned connections_max = 256;
         unsigned connections_of_one_max = 64;  ///< from one address
-        bool tls_1_2 = true;                   ///< besides 1.3
+        /// From one address of this machine, where a proxy stands that all browsers come through; 0: as of
+        /// any other.
+        unsigned connections_of_proxy_max = 0;
+        bool tls_1_2 = true;  ///< besides 1.3
     };
 
     /// Throws std::runtime_error, saying how to fix it, where it cannot listen.

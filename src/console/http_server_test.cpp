@@ -67,12 +67,14 @@ class HeldLogins final : public LoginPort {
 
 class HttpServerTest : public testing::Test {
   protected:
-    explicit HttpServerTest(unsigned connections_of_one = 64, bool real_time = false) {
+    explicit HttpServerTest(unsigned connections_of_one = 64, bool real_time = false,
+                            unsigned connections_of_proxy = 0) {
         HttpServer::Settings settings;
         settings.host = loopbackAddress();
         settings.connections_of_one_max = connections_of_one;
+        settings.connections_of_proxy_max = connections_of_proxy;
         server.emplace(settings);
-        core.emplace(Sites({false, server->port(), 10418, {}, {}}), files, logins, visitors,
+        core.emplace(Sites({false, server->port(), 10418, 10419, {}, {}}), files, logins, visitors,
                      [](const auto&) {});
         server->serve(*core, real_time ? static_cast<const Clock&>(steady) : clock);
     }
@@ -235,6 +237,32 @@ TEST_F(HttpServerTest, WhatIsNoHttpIsClosed) {
     EXPECT_TRUE(serves());
 }
 
+TEST_F(HttpServerTest, AnOriginThatIsNullOrThereTwiceIsForeign) {
+    const auto ours = "Origin: http://" + host() + "\r\n", foreign = std::string("Origin: http://other\r\n");
+    for (const auto& origins : {std::string("Origin: null\r\n"), ours + foreign, foreign + ours, ours + ours})
+        EXPECT_THAT(exchange("POST /login HTTP/1.1\r\nHost: " + host() + "\r\n" + origins +
+                             "Connection: close\r\nContent-Length: 0\r\n\r\n"),
+                    StartsWith("HTTP/1.1 403 "))
+            << origins;
+    EXPECT_EQ(logins.count(), 0U);
+    EXPECT_THAT(exchange(get("/", "Host: other.example\r\nConnection: close\r\n")),
+                Not(HasSubstr("<html>page")))
+        << "nor is a second host";
+}
+
+TEST_F(HttpServerTest, ARequestWithTwoLengthsIsRefusedAndNothingBehindItIsRead) {
+    const auto head = "POST /login HTTP/1.1\r\nHost: " + host() + "\r\nOrigin: http://" + host() + "\r\n";
+    for (const auto* lengths : {"Content-Length: 4\r\nTransfer-Encoding: chunked\r\n",
+                                "Transfer-Encoding: chunked\r\nContent-Length: 4\r\n",
+                                "Transfer-Encoding: chunked\r\nContent-Length: 0\r\n"}) {
+        const auto got = exchange(head + lengths + "\r\n0\r\n\r\n" + get("/"));
+        EXPECT_THAT(got, StartsWith("HTTP/1.1 400 ")) << lengths;
+        EXPECT_THAT(got, Not(HasSubstr("<html>page"))) << lengths;
+    }
+    EXPECT_EQ(logins.count(), 0U);
+    EXPECT_TRUE(serves());
+}
+
 TEST_F(HttpServerTest, AByteAtATimeHoldsNoConnection) {
     const auto slow = connected();
     write(slow, "GET / HTTP/1.1\r\nHost: " + host() + "\r\nX-Slow: ");
@@ -349,6 +377,23 @@ TEST_F(FewConnections, OfOneAddressAreServedAndMoreAreClosed) {
     EXPECT_THAT(read(more), Not(HasSubstr("<html>page")));
     open.clear();
     EXPECT_TRUE(waitUntil([&] { return serves(); }));
+}
+
+class FewConnectionsButOfTheProxy : public HttpServerTest {
+  protected:
+    FewConnectionsButOfTheProxy() : HttpServerTest(2, false, 6) {}
+};
+
+TEST_F(FewConnectionsButOfTheProxy, AProxyHasThoseOfEverybodyBehindIt) {
+    std::vector<Descriptor> open;
+    for (int i = 0; i < 6; ++i) {
+        open.push_back(connected());
+        write(open.back(), get("/"));
+        EXPECT_THAT(read(open.back(), "<html>page"), HasSubstr("200"));
+    }
+    const auto more = connected();
+    write(more, get("/"));
+    EXPECT_THAT(read(more), Not(HasSubstr("<html>page")));
 }
 
 }  // namespace

@@ -21,13 +21,11 @@ struct FrontEndServer::Parts {
               settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { rim.wake(); }, settings.global_services),
           rim(core, topic, settings, data, signal, its_clock),
-          limits(*settings.limits),
           clock(its_clock) {}
 
     IceEntityTopic topic;
     FrontEndCore core;
     transport::ServerRim<ClientSessions> rim;
-    transport::ConnectionLimits& limits;
     const Clock& clock;
     std::optional<transport::SessionDoor<ClientSessions>> browsers;
 };
@@ -54,12 +52,14 @@ void FrontEndServer::activate() {
     if (parts_->browsers) parts_->browsers->activate();
 }
 
-std::uint16_t FrontEndServer::listenToBrowsers(const std::string& endpoint,
-                                               const std::shared_ptr<Ice::Communicator>& communicator,
-                                               transport::Logins& logins) {
-    parts_->browsers.emplace(parts_->core, "FrontEndServerBrowsers", endpoint, *communicator, logins,
-                             parts_->limits, parts_->clock);
-    return parts_->browsers->port();
+transport::DoorPorts FrontEndServer::listenToBrowsers(const transport::DoorSettings& settings) {
+    parts_->browsers.emplace(parts_->core, "FrontEndServerBrowsers", settings, parts_->clock);
+    return parts_->browsers->ports();
+}
+
+void FrontEndServer::closeToBrowsers() {
+    if (parts_->browsers) parts_->browsers->end();
+    parts_->browsers.reset();
 }
 
 std::string FrontEndServer::routerAddress() const {

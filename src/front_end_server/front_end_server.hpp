@@ -10,6 +10,7 @@
 #include "common/ids.hpp"
 #include "front_end_server/front_end_core.hpp"
 #include "transport/ice/connection_limits.hpp"
+#include "transport/sessions/door_settings.hpp"
 
 namespace Ice {
 class Communicator;
@@ -71,12 +72,12 @@ class FrontEndServer {
     /// down.
     void publishTo(const std::vector<std::string>& entity_servers);
     void activate();
-    /// One more door, for browsers: an adapter FrontEndServerBrowsers at an endpoint of WebSocket in Ice's
-    /// form. Before activate(); returns the port that was taken. Throws std::runtime_error where it cannot
-    /// listen. What is referred to outlives the communicator.
-    std::uint16_t listenToBrowsers(const std::string& endpoint,
-                                   const std::shared_ptr<Ice::Communicator>& communicator,
-                                   transport::Logins& logins);
+    /// One more door, for browsers: the adapters FrontEndServerBrowsers and FrontEndServerBrowsersSignal at
+    /// endpoints of WebSocket. Before activate(). Throws std::runtime_error where it cannot listen. What is
+    /// referred to outlives the communicators.
+    transport::DoorPorts listenToBrowsers(const transport::DoorSettings& settings);
+    /// The door is closed again: its communicators have been destroyed. Before activate().
+    void closeToBrowsers();
     /// Joins its own threads. Nothing is published afterwards.
     void end();
     /// Of the adapter for routers; empty where there is none.

@@ -36,18 +36,30 @@ void ConsoleDesk::login(const std::string& user, const std::string& password, co
                  });
 }
 
+std::optional<Refusal> ConsoleDesk::foreign(const LoginRequest& request) const {
+    if (!request.origin || (sites_ && sites_->isOurs(*request.origin, addressOf(request.local))))
+        return std::nullopt;
+    note_("audit: console: a session that a foreign page opens from " + request.peer + " was refused");
+    return refuse(RefusalCode::PermissionDenied,
+                  "this session is opened by a page that is not this server's console; fix: open "
+                  "the console at the address in the server's ready line, or add the address of "
+                  "its proxy to Console.Proxies");
+}
+
 void ConsoleDesk::client(LoginRequest request, Answer answer) {
-    if (request.origin && !(sites_ && sites_->isOurs(*request.origin, addressOf(request.local)))) {
-        note_("audit: console: a session that a foreign page opens from " + request.peer + " was refused");
-        return answer(refuse(RefusalCode::PermissionDenied,
-                             "this session is opened by a page that is not this server's console; fix: open "
-                             "the console at the address in the server's ready line, or add the address of "
-                             "its proxy to Console.Proxies"));
-    }
+    if (auto refusal = foreign(request)) return answer(std::move(*refusal));
     if (!has_users_) {
         request.user.clear();
         request.password.clear();
-        return desk_.client(std::move(request), std::move(answer));
+        if (++waiting_ > kWaitingMax) {
+            --waiting_;
+            return answer(refuse(RefusalCode::Overloaded,
+                                 "too many browsers are logging in; fix: try again in a few seconds"));
+        }
+        return desk_.client(std::move(request), [this, answer = std::move(answer)](Result<LoggedIn> who) {
+            --waiting_;
+            answer(std::move(who));
+        });
     }
     if (const auto user = visitors_.redeem(request.password)) return answer(desk_.vouchedClient(*user));
     note_("audit: console: failed log-in from " + request.peer + " (no ticket, or an old one)");
@@ -67,6 +79,25 @@ Result<LoggedIn> ConsoleDesk::vouchedClient(const std::string&,
 
 Result<LoggedIn> ConsoleDesk::vouchedEntity(const std::string&,
                                             const std::optional<transport::PeerCertificate>&) {
+    return onlyClients();
+}
+
+void ConsoleDesk::Signals::client(LoginRequest request, Answer answer) {
+    if (auto refusal = desk_.foreign(request)) return answer(std::move(*refusal));
+    answer(LoggedIn{});
+}
+
+void ConsoleDesk::Signals::entity(LoginRequest, Answer answer) {
+    answer(onlyClients());
+}
+
+Result<LoggedIn> ConsoleDesk::Signals::vouchedClient(const std::string&,
+                                                     const std::optional<transport::PeerCertificate>&) {
+    return onlyClients();
+}
+
+Result<LoggedIn> ConsoleDesk::Signals::vouchedEntity(const std::string&,
+                                                     const std::optional<transport::PeerCertificate>&) {
     return onlyClients();
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <atomic>
 #include <functional>
 #include <optional>
 #include <string>
@@ -18,11 +19,15 @@ namespace axon::server {
 /// anything, and its role is that of the process, as on the clients' port. With or without, a browser that
 /// connects from a page that is not ours is refused, whatever it shows.
 ///
+/// Bound: kWaitingMax log-ins wait that came over the sessions' port, then OVERLOADED; those at the pages are
+/// bounded by the connections to them.
+///
 /// Threads: any. setSites() is called before anybody comes in. Passwords are verified by the LoginDesk, which
 /// also slows down who guesses them.
 class ConsoleDesk final : public transport::Logins, public console::LoginPort {
   public:
     using Note = std::function<void(const std::string& line)>;
+    static constexpr int kWaitingMax = 64;
 
     /// What is referred to outlives it.
     ConsoleDesk(LoginDesk& desk, bool has_users, console::Visitors& visitors, Note note);
@@ -41,12 +46,35 @@ class ConsoleDesk final : public transport::Logins, public console::LoginPort {
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
     bool mayVouch(const std::string&, const std::string&) override { return false; }
 
+    /// Of the signal lane of these sessions, where their token is the proof: foreign pages are refused, and
+    /// nobody waits.
+    transport::Logins& signals() { return signals_; }
+
   private:
+    class Signals final : public transport::Logins {
+      public:
+        explicit Signals(const ConsoleDesk& desk) : desk_(desk) {}
+        void client(transport::LoginRequest request, Answer answer) override;
+        void entity(transport::LoginRequest request, Answer answer) override;
+        Result<transport::LoggedIn> vouchedClient(
+            const std::string& user, const std::optional<transport::PeerCertificate>& certificate) override;
+        Result<transport::LoggedIn> vouchedEntity(
+            const std::string& user, const std::optional<transport::PeerCertificate>& certificate) override;
+        bool mayVouch(const std::string&, const std::string&) override { return false; }
+
+      private:
+        const ConsoleDesk& desk_;
+    };
+    /// A browser that comes from a page that is not ours.
+    std::optional<Refusal> foreign(const transport::LoginRequest& request) const;
+
     LoginDesk& desk_;
     const bool has_users_;
     console::Visitors& visitors_;
     const Note note_;
     std::optional<console::Sites> sites_;
+    std::atomic<int> waiting_{0};
+    Signals signals_{*this};
 };
 
 }  // namespace axon::server

@@ -28,7 +28,7 @@ class ConsoleDeskTest : public testing::Test {
                         : std::nullopt,
               clock, [](const auto&) {}, [](const auto&, const auto&) { return ::geteuid(); }),
           desk(logins, has_users, visitors, [this](const std::string& line) { notes.push_back(line); }) {
-        desk.setSites(console::Sites({false, 10417, 10418, {}, {"https://lab.example"}}));
+        desk.setSites(console::Sites({false, 10417, 10418, 10419, {}, {"https://lab.example"}}));
     }
     ~ConsoleDeskTest() override { logins.close(); }
 

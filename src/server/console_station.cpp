@@ -34,6 +34,7 @@ console::HttpServer::Settings httpSettings(const ConsoleSettings& settings,
     console::HttpServer::Settings its;
     its.host = endpoint.host;
     its.port = endpoint.port;
+    if (!settings.proxies.empty()) its.connections_of_proxy_max = its.connections_max;
     if (!endpoint.tls) return its;
     try {
         auto credentials = transport::credentialsOf(ice_properties);
@@ -55,7 +56,7 @@ std::vector<std::string> namesOf(const ConsoleSettings& settings) {
     if (::uname(&machine) != 0) return names;
     try {
         const std::string its = machine.nodename;
-        [[maybe_unused]] const console::Sites tried({false, 0, 0, {its}, {}});
+        [[maybe_unused]] const console::Sites tried({false, 0, 0, 0, {its}, {}});
         names.push_back(its);
     } catch (const std::invalid_argument&) {
     }
@@ -64,7 +65,7 @@ std::vector<std::string> namesOf(const ConsoleSettings& settings) {
 
 const ConsoleSettings& checked(const ConsoleSettings& settings) {
     try {
-        [[maybe_unused]] const console::Sites tried({false, 0, 0, settings.names, settings.proxies});
+        [[maybe_unused]] const console::Sites tried({false, 0, 0, 0, settings.names, settings.proxies});
     } catch (const std::invalid_argument& error) {
         throw std::runtime_error(std::string("Console.Names, Console.Proxies: ") + error.what());
     }
@@ -97,6 +98,7 @@ struct ConsoleStation::Parts {
     console::Visitors visitors;
     ConsoleDesk desk;
     console::BuiltFolder folder;
+    std::optional<console::Sites> sites;
     std::optional<console::ConsoleCore> core;
     console::HttpServer http;  // last: its thread uses the others
 };
@@ -113,11 +115,24 @@ transport::Logins& ConsoleStation::logins() {
     return parts_->desk;
 }
 
-void ConsoleStation::serve(std::uint16_t session_port) {
+transport::Logins& ConsoleStation::signals() {
+    return parts_->desk.signals();
+}
+
+std::string ConsoleStation::signalEndpoint(const std::string& local,
+                                           const std::optional<std::string>& origin) const {
+    const auto& sites = parts_->sites.value();
+    if (!origin) return sites.ofAddress(local).signal_endpoint;
+    const auto site = sites.ofOrigin(*origin, local);
+    return site ? site->signal_endpoint : std::string();
+}
+
+void ConsoleStation::serve(const transport::DoorPorts& sessions) {
     auto& its = *parts_;
     const auto endpoint = transport::parseEndpoint(its.settings.endpoint);
-    const console::Sites sites(
-        {endpoint.tls, its.http.port(), session_port, namesOf(its.settings), its.settings.proxies});
+    const auto& sites = its.sites.emplace(
+        console::Sites::Settings{endpoint.tls, its.http.port(), sessions.data, sessions.signal,
+                                 namesOf(its.settings), its.settings.proxies});
     its.desk.setSites(sites);
     its.core.emplace(sites, its.folder, its.desk, its.visitors, its.note,
                      [&its](const std::string& line) { its.noteStranger(line); });

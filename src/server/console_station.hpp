@@ -4,20 +4,22 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "server/login_desk.hpp"
 #include "server/server.hpp"
+#include "transport/sessions/door_settings.hpp"
 
 namespace axon::server {
 
 /// The web console of this server: its pages, and who may open a session from them. The sessions themselves
 /// are the front-end server's, which listens for them.
 ///
-/// Life: construct, which reads the settings and listens for pages; serve(), once the port of the sessions is
-/// known. Before the destructor, LoginDesk::close(). Threads: that of the HTTP server. Failure:
+/// Life: construct, which reads the settings and listens for pages; serve(), once the ports of the sessions
+/// are known. Before the destructor, LoginDesk::close(). Threads: that of the HTTP server. Failure:
 /// std::runtime_error, saying how to fix it.
 class ConsoleStation {
   public:
@@ -30,8 +32,13 @@ class ConsoleStation {
 
     /// Decides who opens a session.
     transport::Logins& logins();
+    /// Decides who opens the signal lane of one.
+    transport::Logins& signals();
+    /// Where a peer finds the signal lane of the session that it opened at the address `local` from a page of
+    /// this `origin`; none where it is no browser. After serve().
+    std::string signalEndpoint(const std::string& local, const std::optional<std::string>& origin) const;
     /// From now on it answers.
-    void serve(std::uint16_t session_port);
+    void serve(const transport::DoorPorts& sessions);
     /// "http://127.0.0.1:10417/", of an address that this machine reaches.
     std::string address() const;
 

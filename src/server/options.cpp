@@ -4,6 +4,7 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
+#include <array>
 #include <charconv>
 #include <cstdio>
 #include <filesystem>
@@ -22,7 +23,15 @@
 namespace axon::server {
 namespace {
 
-constexpr int kConsolePort = 7;  // after the first of the family; that of its sessions follows
+constexpr int kConsolePort = 7;  // after the first of the family; those of its sessions follow
+constexpr int kConsolePorts = 3;
+constexpr int kPortMax = 65535;
+
+std::string lowerOrWithout() {
+    return "choose a port for clients (--base-port) of at most " +
+           std::to_string(kPortMax - kConsolePort - kConsolePorts + 1) +
+           ", name others with --console-endpoint, or leave the console out with --no-console";
+}
 
 std::vector<transport::Endpoint> endpointsOf(const std::string& where, const std::string& text) {
     try {
@@ -93,26 +102,77 @@ std::vector<std::string> wordsOf(const std::string& text) {
     return words;
 }
 
+struct ConsolePort {
+    std::string* endpoint;
+    const char* option;
+    const char* key;
+};
+
+std::array<ConsolePort, 3> consolePorts(ConsoleSettings& console) {
+    return {{{&console.endpoint, "console", "Console.Endpoints"},
+             {&console.session_endpoint, "console-session", "ConsoleSession.Endpoints"},
+             {&console.signal_endpoint, "console-signal", "ConsoleSignal.Endpoints"}}};
+}
+
+/// The endpoints that somebody has named: an option wins, and the others are moved as those of clients are.
+void moveConsole(ConsoleSettings& console, const std::map<std::string, std::string>& options,
+                 const std::string& listen, int base_port) {
+    int port = base_port + kConsolePort;
+    for (const auto& [endpoint, option, key] : consolePorts(console)) {
+        const int its_port = port++;
+        if (const auto& given = options.at(option); !given.empty()) {
+            *endpoint = given;
+        } else if (!endpoint->empty() && (!listen.empty() || base_port >= 0)) {
+            auto one = endpointsOf(key, *endpoint).front();
+            if (!listen.empty()) one.host = listen;
+            if (base_port == 0) one.port = 0;
+            if (base_port > 0) {
+                if (its_port > kPortMax)
+                    throw std::runtime_error("--base-port " + std::to_string(base_port) + ": " + key +
+                                             " would be at port " + std::to_string(its_port) +
+                                             ", and there is none; fix: " + lowerOrWithout());
+                one.port = static_cast<std::uint16_t>(its_port);
+            }
+            *endpoint = one.text();
+        }
+    }
+}
+
+/// The port after this one; 0 stays 0, a free one.
+std::string portAfter(const std::string& endpoint, const char* key) {
+    auto its = endpointsOf(key, endpoint).front();
+    if (its.port == kPortMax)
+        throw std::runtime_error(std::string(key) + ": there is no port after that of '" + endpoint +
+                                 "'; fix: set " + key + ", or choose a lower one");
+    if (its.port != 0) ++its.port;
+    return its.text();
+}
+
 /// Where nobody has said where the console is, it follows the port for clients, so that two servers have two.
 /// Then it is for this machine only: who wants browsers of others to reach it says so.
 void placeConsole(ServerSettings& settings) {
     auto& its = settings.console;
-    its.required = !its.endpoint.empty() || !its.session_endpoint.empty();
+    its.required = !its.endpoint.empty() || !its.session_endpoint.empty() || !its.signal_endpoint.empty();
     if (!its.required && settings.role != ServerRole::Both) return;
     if (its.endpoint.empty()) {
         auto pages = transport::parseEndpoints(settings.client_endpoint).front();
-        if (pages.port >= 65535 - kConsolePort) return;
+        if (pages.port > kPortMax - kConsolePort - kConsolePorts + 1) {
+            const auto why = "its ports follow that for clients, and there are none after " +
+                             std::to_string(kPortMax) + "; fix: " + lowerOrWithout();
+            if (its.required) throw std::runtime_error("Console.Endpoints: " + why);
+            its.left_out = why;
+            return;
+        }
         if (pages.port != 0) pages.port = static_cast<std::uint16_t>(pages.port + kConsolePort);
         if (pages.tls || !isLoopback(pages.host)) pages = {"127.0.0.1", pages.port, false};
         its.endpoint = pages.text();
     }
-    if (its.session_endpoint.empty()) {
-        auto sessions = transport::parseEndpoints(its.endpoint).front();
-        if (sessions.port != 0) ++sessions.port;
-        its.session_endpoint = sessions.text();
-    }
-    for (const auto& endpoint : {its.endpoint, its.session_endpoint})
-        checkEndpoints(endpoint, !settings.users_file.empty(), settings.plain_tcp);
+    if (its.session_endpoint.empty())
+        its.session_endpoint = portAfter(its.endpoint, "ConsoleSession.Endpoints");
+    if (its.signal_endpoint.empty())
+        its.signal_endpoint = portAfter(its.session_endpoint, "ConsoleSignal.Endpoints");
+    for (const auto& [endpoint, option, key] : consolePorts(its))
+        checkEndpoints(*endpoint, !settings.users_file.empty(), settings.plain_tcp);
     std::error_code unknown;
     if (!its.folder.empty() && !std::filesystem::is_directory(its.folder, unknown))
         throw std::runtime_error("'" + its.folder +
@@ -183,6 +243,7 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          }},
         {"Console.Endpoints", endpoint(settings.console.endpoint)},
         {"ConsoleSession.Endpoints", endpoint(settings.console.session_endpoint)},
+        {"ConsoleSignal.Endpoints", endpoint(settings.console.signal_endpoint)},
         {"Console.Files", [&](const auto&, const auto& text) { settings.console.folder = text; }},
         {"Console.Names", [&](const auto&, const auto& text) { settings.console.names = wordsOf(text); }},
         {"Console.Proxies", [&](const auto&, const auto& text) { settings.console.proxies = wordsOf(text); }},
@@ -252,8 +313,7 @@ Parsed parseOptions(int argc, char** argv) {
     app.add_option("--listen", listen, "Address on which all ports listen (127.0.0.1)");
     app.add_option("--base-port", base_port,
                    "First of the four ports, which follow each other (10410); the console's are the eighth "
-                   "and ninth. "
-                   "0 takes free ports. The endpoint options below override it")
+                   "to tenth. 0 takes free ports. The endpoint options below override it")
         ->check(CLI::Range(0, 65532));
     app.add_option("--client-endpoint", endpoints["client"],
                    "HOST:PORT or ssl://HOST:PORT for clients (127.0.0.1:10410); port 0 chooses a free port");
@@ -269,6 +329,8 @@ Parsed parseOptions(int argc, char** argv) {
         "more)");
     app.add_option("--console-session-endpoint", endpoints["console-session"],
                    "HOST:PORT for the sessions of the web console (the port of its pages and 1 more)");
+    app.add_option("--console-signal-endpoint", endpoints["console-signal"],
+                   "HOST:PORT for the signal lane of these sessions (their port and 1 more)");
     app.add_option("--console-files", console_files, "Folder of the built web console (Console.Files)");
     app.add_flag("--no-console", no_console, "Serve no web console (Server.Console=0)");
     app.add_flag("--plain-tcp", plain_tcp,
@@ -307,9 +369,6 @@ Parsed parseOptions(int argc, char** argv) {
     if (!global_services.empty()) settings.global_services = global_services;
     settings.plain_tcp = settings.plain_tcp || plain_tcp;
     if (!console_files.empty()) settings.console.folder = console_files;
-    if (!endpoints["console"].empty()) settings.console.endpoint = endpoints["console"];
-    if (!endpoints["console-session"].empty())
-        settings.console.session_endpoint = endpoints["console-session"];
     if (!user_to_add.empty()) {
         addUser(settings.users_file, user_to_add, user_role);
         return {std::nullopt, 0};
@@ -350,10 +409,12 @@ Parsed parseOptions(int argc, char** argv) {
                                                        : settings.role == ServerRole::FrontEnd;
         if (!unused) checkEndpoints(*to, !settings.users_file.empty(), settings.plain_tcp);
     }
-    if (no_console || !settings.console.wanted || settings.role == ServerRole::Entity)
+    if (no_console || !settings.console.wanted || settings.role == ServerRole::Entity) {
         settings.console = {};
-    else
+    } else {
+        moveConsole(settings.console, endpoints, listen, base_port);
         placeConsole(settings);
+    }
     return {std::move(options), 0};
 }
 

@@ -80,26 +80,65 @@ TEST(ServerOptions, TheConsoleIsBesideTheOtherPorts) {
         const auto its = parse(words).options->settings.console;
         return its.endpoint.empty() ? std::string("none")
                                     : transport::parseEndpoint(its.endpoint).address() + " " +
-                                          transport::parseEndpoint(its.session_endpoint).address() +
+                                          transport::parseEndpoint(its.session_endpoint).address() + " " +
+                                          transport::parseEndpoint(its.signal_endpoint).address() +
                                           (its.required ? " required" : "");
     };
-    EXPECT_EQ(console({}), "127.0.0.1:10417 127.0.0.1:10418");
-    EXPECT_EQ(console({"--base-port", "20000"}), "127.0.0.1:20007 127.0.0.1:20008");
-    EXPECT_EQ(console({"--base-port", "0"}), "127.0.0.1:0 127.0.0.1:0");
-    EXPECT_EQ(console({"--client-endpoint", "127.0.0.3:0"}), "127.0.0.3:0 127.0.0.3:0");
+    EXPECT_EQ(console({}), "127.0.0.1:10417 127.0.0.1:10418 127.0.0.1:10419");
+    EXPECT_EQ(console({"--base-port", "20000"}), "127.0.0.1:20007 127.0.0.1:20008 127.0.0.1:20009");
+    EXPECT_EQ(console({"--base-port", "0"}), "127.0.0.1:0 127.0.0.1:0 127.0.0.1:0");
+    EXPECT_EQ(console({"--client-endpoint", "127.0.0.3:0"}), "127.0.0.3:0 127.0.0.3:0 127.0.0.3:0");
     EXPECT_EQ(console({"--client-endpoint", "127.0.0.3:65530"}), "none") << "there are no such ports";
     EXPECT_EQ(console({"--listen", "0.0.0.0", "--users", "users.cfg", "--plain-tcp"}),
-              "127.0.0.1:10417 127.0.0.1:10418")
+              "127.0.0.1:10417 127.0.0.1:10418 127.0.0.1:10419")
         << "not to other machines unless asked";
     EXPECT_EQ(console({"--client-endpoint", "ssl://0.0.0.0:20000", "--users", "users.cfg"}),
-              "127.0.0.1:20007 127.0.0.1:20008");
-    EXPECT_EQ(console({"--console-endpoint", "127.0.0.2:8000"}), "127.0.0.2:8000 127.0.0.2:8001 required");
+              "127.0.0.1:20007 127.0.0.1:20008 127.0.0.1:20009");
+    EXPECT_EQ(console({"--console-endpoint", "127.0.0.2:8000"}),
+              "127.0.0.2:8000 127.0.0.2:8001 127.0.0.2:8002 required");
     EXPECT_EQ(console({"--console-endpoint", "ssl://127.0.0.2:443", "--console-session-endpoint",
                        "ssl://127.0.0.2:444"}),
-              "ssl://127.0.0.2:443 ssl://127.0.0.2:444 required");
+              "ssl://127.0.0.2:443 ssl://127.0.0.2:444 ssl://127.0.0.2:445 required");
     EXPECT_EQ(console({"--no-console"}), "none");
     EXPECT_THAT(complaint({"--console-endpoint", "0.0.0.0:80"}), HasSubstr("no users"));
     EXPECT_THAT(complaint({"--console-files", "/no/such/folder"}), HasSubstr("fix: "));
+}
+
+TEST(ServerOptions, AConsoleThatIsConfiguredMovesWithTheOtherPorts) {
+    const auto file = std::filesystem::path(testing::TempDir()) / "axon-console-endpoints.cfg";
+    std::ofstream(file) << "Console.Endpoints = 127.0.0.1:8000\nConsoleSession.Endpoints = 127.0.0.1:8001\n"
+                        << "ConsoleSignal.Endpoints = 127.0.0.1:8002\n";
+    const auto console = [&](std::vector<std::string> words) {
+        words.insert(words.begin(), {"--config", file.string()});
+        auto its = parse(words).options->settings.console;
+        std::string all;
+        for (const auto& text : {its.endpoint, its.session_endpoint, its.signal_endpoint})
+            all += (all.empty() ? "" : " ") + transport::parseEndpoint(text).address();
+        return all;
+    };
+    EXPECT_EQ(console({}), "127.0.0.1:8000 127.0.0.1:8001 127.0.0.1:8002");
+    EXPECT_EQ(console({"--base-port", "20000"}), "127.0.0.1:20007 127.0.0.1:20008 127.0.0.1:20009");
+    EXPECT_EQ(console({"--base-port", "0"}), "127.0.0.1:0 127.0.0.1:0 127.0.0.1:0");
+    EXPECT_EQ(console({"--listen", "127.0.0.2"}), "127.0.0.2:8000 127.0.0.2:8001 127.0.0.2:8002");
+    EXPECT_EQ(console({"--base-port", "20000", "--console-session-endpoint", "127.0.0.1:7"}),
+              "127.0.0.1:20007 127.0.0.1:7 127.0.0.1:20009");
+    EXPECT_THAT(complaint({"--config", file.string(), "--listen", "0.0.0.0"}), HasSubstr("no users"));
+    EXPECT_THAT(complaint({"--config", file.string(), "--base-port", "65530"}),
+                testing::AllOf(HasSubstr("there is none; fix: "), HasSubstr("65526")));
+    std::filesystem::remove(file);
+}
+
+TEST(ServerOptions, AConsoleForWhichThereAreNoPortsIsLeftOutWithAWord) {
+    const auto last = parse({"--base-port", "65526"}).options->settings.console;
+    EXPECT_EQ(transport::parseEndpoint(last.signal_endpoint).port, 65535);
+    EXPECT_EQ(last.left_out, "");
+    const auto none = parse({"--base-port", "65527"}).options->settings.console;
+    EXPECT_EQ(none.endpoint, "");
+    EXPECT_THAT(none.left_out, HasSubstr("fix: choose a port for clients (--base-port) of at most 65526"));
+    EXPECT_THAT(complaint({"--base-port", "65527", "--console-session-endpoint", "127.0.0.1:7"}),
+                HasSubstr("fix: "));
+    EXPECT_THAT(complaint({"--console-endpoint", "127.0.0.1:65535"}), HasSubstr("there is no port after"));
+    EXPECT_EQ(parse({"--base-port", "65527", "--no-console"}).options->settings.console.left_out, "");
 }
 
 TEST(ServerOptions, SaysWhatAddUserNeeds) {

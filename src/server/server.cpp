@@ -104,8 +104,9 @@ std::vector<std::string> endpointsOf(const ServerSettings& settings) {
         endpoints.push_back(settings.entity_endpoint);
         endpoints.push_back(settings.entity_signal_endpoint);
     }
-    for (const auto& other : {settings.client_router_endpoint, settings.entity_router_endpoint,
-                              settings.console.endpoint, settings.console.session_endpoint})
+    for (const auto& other :
+         {settings.client_router_endpoint, settings.entity_router_endpoint, settings.console.endpoint,
+          settings.console.session_endpoint, settings.console.signal_endpoint})
         if (!other.empty()) endpoints.push_back(other);
     return endpoints;
 }
@@ -125,8 +126,13 @@ void checkBetweenServers(const ServerSettings& settings) {
     }
 }
 
+std::string hostOf(const transport::Endpoint& endpoint) {
+    return endpoint.host == "localhost" ? "127.0.0.1" : endpoint.host;
+}
+
 /// A browser opens no WebSocket without TLS from a page that came by TLS, and the other way round the page
-/// could be changed on its way.
+/// could be changed on its way. A page may connect to the host that it came from, and the server is told
+/// there who it is.
 void checkConsole(const ConsoleSettings& console, bool has_users) {
     if (console.endpoint.empty()) return;
     if (!console.proxies.empty() && !has_users)
@@ -134,15 +140,28 @@ void checkConsole(const ConsoleSettings& console, bool has_users) {
             "Console.Proxies is set, and the server has no users: whoever reaches the proxy could move the "
             "robots; fix: name who may log in (axon-server --users FILE --add-user NAME --user-role ROLE, "
             "then --users FILE), or leave Console.Proxies out");
-    const auto pages = parsed(console.endpoint), sessions = parsed(console.session_endpoint);
-    if (pages.size() != 1 || sessions.size() != 1)
-        throw std::runtime_error("'" + console.endpoint + "', '" + console.session_endpoint +
-                                 "': expected one endpoint each for the console's pages and sessions");
-    if (pages[0].tls != sessions[0].tls)
-        throw std::runtime_error(
-            "'" + console.endpoint + "' and '" + console.session_endpoint +
-            "': expected TLS for both the console's pages and its sessions, or for neither; fix: begin both "
-            "Console.Endpoints and ConsoleSession.Endpoints with ssl://");
+    const auto pages = parsed(console.endpoint);
+    const std::pair<const char*, const std::string&> others[] = {
+        {"ConsoleSession.Endpoints", console.session_endpoint},
+        {"ConsoleSignal.Endpoints", console.signal_endpoint}};
+    for (const auto& [key, text] : others) {
+        const auto its = text.empty() ? std::vector<transport::Endpoint>{} : parsed(text);
+        if (pages.size() != 1 || its.size() != 1)
+            throw std::runtime_error("Console.Endpoints ('" + console.endpoint + "'), " + key + " ('" + text +
+                                     "'): expected one endpoint each");
+        if (pages[0].tls != its[0].tls)
+            throw std::runtime_error(
+                "'" + console.endpoint + "' and '" + text +
+                "': expected TLS for both the console's pages and its sessions, or for neither; fix: begin "
+                "Console.Endpoints, ConsoleSession.Endpoints and ConsoleSignal.Endpoints with ssl://");
+        if (hostOf(pages[0]) != hostOf(its[0]))
+            throw std::runtime_error(
+                std::string("Console.Endpoints is at ") + pages[0].host + " and " + key + " at " +
+                its[0].host +
+                ": expected one host, because a page of the console may open sessions only at the address "
+                "that it came from; fix: give both the same host, such as " +
+                key + "=" + transport::Endpoint{pages[0].host, its[0].port, its[0].tls}.address());
+    }
 }
 
 std::optional<Users> usersOf(const ServerSettings& settings) {
@@ -170,17 +189,13 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
     return Users::read(settings.users_file);
 }
 
-transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane,
-                                                     std::initializer_list<const char*> adapters) {
+transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane) {
     transport::CommunicatorSettings its;
     its.lane = lane;
     its.name = lane == Lane::Signal ? "axon-signal" : "axon-data";
-    const int threads = lane == Lane::Signal ? settings.signal_threads : settings.data_threads;
-    // A pool for each adapter: what comes from clients does not wait for what comes from entities.
-    for (const std::string adapter : adapters) {
-        its.properties[adapter + ".ThreadPool.Size"] = std::to_string(threads);
-        its.properties[adapter + ".ThreadPool.Serialize"] = threads > 1 ? "1" : "0";
-    }
+    // Of each adapter, which has a pool of its own (transport::listen): what comes from clients does not wait
+    // for what comes from entities.
+    its.server_threads = lane == Lane::Signal ? settings.signal_threads : settings.data_threads;
     for (const auto& [key, value] : settings.ice_properties) its.properties[key] = value;
     return its;
 }
@@ -193,19 +208,40 @@ std::string named(const char* name, const std::string& address) {
     return address.empty() ? address : name + address;
 }
 
-/// Of the console's sessions. A browser that is asked for a certificate gives up.
-transport::CommunicatorSettings browserSettings(const ServerSettings& settings) {
-    auto its = communicatorSettings(settings, Lane::Data, {});
-    its.name = "axon-browsers";
-    its.properties["IceSSL.VerifyPeer"] = "0";
-    // What one browser sends, or somebody who never ends a request, does not keep the others waiting.
-    its.server_threads = std::max(4, settings.data_threads);
+constexpr int kBrowserSizeMaxKib = 512;
+
+/// Connections that browsers have without a session. They are counted apart from those of other clients, who
+/// keep theirs whatever browsers do. Behind a proxy all have one address.
+transport::ConnectionBounds browserBounds(const ConsoleSettings& console) {
+    transport::ConnectionBounds its;
+    its.to_log_in = console.to_log_in;
+    its.strangers = 256;
+    its.strangers_of_one_address = console.proxies.empty() ? 64 : its.strangers;
     return its;
+}
+
+/// Of the console's sessions. A browser that is asked for a certificate gives up.
+transport::CommunicatorSettings browserSettings(const ServerSettings& settings, Lane lane) {
+    auto its = communicatorSettings(settings, lane);
+    its.name = lane == Lane::Signal ? "axon-br-signal" : "axon-browsers";
+    its.properties["IceSSL.VerifyPeer"] = "0";
+    // The largest that a page sends are chunks of files, of 64 KiB, and texts that are parameters of tasks.
+    its.properties.emplace("FrontEndServerBrowsers.MessageSizeMax", std::to_string(kBrowserSizeMaxKib));
+    // What one browser sends, or somebody who never ends a request, does not keep the others waiting.
+    its.server_threads =
+        lane == Lane::Signal ? std::max(2, settings.signal_threads) : std::max(4, settings.data_threads);
+    return its;
+}
+
+/// "HOST:PORT" as Ice listens there for WebSockets.
+std::string socketForm(const std::string& endpoint) {
+    const auto its = parsed(endpoint).at(0);
+    return std::string(its.tls ? "wss" : "ws") + " -h " + its.host + " -p " + std::to_string(its.port);
 }
 
 /// What comes from the entities' signal lane are receipts and signs of life, which give way to stops.
 transport::CommunicatorSettings receiptSettings(const ServerSettings& settings) {
-    auto its = communicatorSettings(settings, Lane::Signal, {"EntityServerSignal"});
+    auto its = communicatorSettings(settings, Lane::Signal);
     its.name = "axon-receipts";
     its.priority = transport::kReceiptPriority;
     return its;
@@ -293,10 +329,8 @@ class Server::Parts {
     explicit Parts(const ServerSettings& settings)
         : logins(usersOf(settings), clock, note,
                  [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); }),
-          data(transport::makeCommunicator(
-              communicatorSettings(settings, Lane::Data, {"FrontEndServer", "EntityServer"}))),
-          signal(transport::makeCommunicator(
-              communicatorSettings(settings, Lane::Signal, {"FrontEndServerSignal"}))),
+          data(transport::makeCommunicator(communicatorSettings(settings, Lane::Data))),
+          signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
           receipts(transport::makeCommunicator(receiptSettings(settings))) {
         const bool both = settings.role == ServerRole::Both;
         if (settings.role != ServerRole::FrontEnd) {
@@ -320,6 +354,7 @@ class Server::Parts {
             front_end.emplace(its, data.communicator(), signal.communicator(), clock, random, note);
         }
         if (front_end && !settings.console.endpoint.empty()) openConsole(settings);
+        if (!settings.console.left_out.empty()) leftOut(settings.console.left_out);
         if (both) {
             clients_here.set(front_end->core());
             entities_here.set(entity->core());
@@ -337,11 +372,12 @@ class Server::Parts {
         topics.reset();
         logins.close();  // a communicator waits for calls that are not answered
         limits.close();  // and for peers that are silent
+        if (browser_limits) browser_limits->close();
         // First the threads that call the cores, then the cores.
         data.communicator()->destroy();
         signal.communicator()->destroy();
         receipts.communicator()->destroy();
-        if (browsers) browsers->communicator()->destroy();
+        closeBrowsers();
         if (entity) entity->end();
         if (front_end) front_end->end();
     }
@@ -351,19 +387,37 @@ class Server::Parts {
         try {
             console.emplace(settings.console, settings.ice_properties, logins, !settings.users_file.empty(),
                             steady, random, note);
-            browsers.emplace(transport::makeCommunicator(browserSettings(settings)));
-            const auto endpoint = parsed(settings.console.session_endpoint).at(0);
-            console_session_port =
-                front_end->listenToBrowsers(std::string(endpoint.tls ? "wss" : "ws") + " -h " +
-                                                endpoint.host + " -p " + std::to_string(endpoint.port),
-                                            browsers->communicator(), console->logins());
-            console->serve(console_session_port);
+            browser_limits.emplace(steady, note, browserBounds(settings.console));
+            browsers.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Data)));
+            browser_signals.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Signal)));
+            transport::DoorSettings door;
+            door.data = {socketForm(settings.console.session_endpoint), browsers->communicator(),
+                         &console->logins()};
+            door.signal = {socketForm(settings.console.signal_endpoint), browser_signals->communicator(),
+                           &console->signals()};
+            door.signal_endpoint = [this](const std::string& local,
+                                          const std::optional<std::string>& origin) {
+                return console->signalEndpoint(local, origin);
+            };
+            door.limits = &*browser_limits;
+            console_ports = front_end->listenToBrowsers(door);
+            console->serve(console_ports);
         } catch (const std::runtime_error& error) {
-            // Once the front-end server listens for browsers, it needs the console.
-            if (settings.console.required || console_session_port != 0) throw;
-            spdlog::warn("the web console is left out: {}", error.what());
+            closeBrowsers();
+            if (settings.console.required) throw;
+            leftOut(error.what());
+            front_end->closeToBrowsers();
+            console_ports = {};
             console.reset();
+            browser_limits.reset();
         }
+    }
+
+    static void leftOut(const std::string& why) { spdlog::warn("the web console is left out: {}", why); }
+
+    void closeBrowsers() {
+        if (browsers) browsers->communicator()->destroy();
+        if (browser_signals) browser_signals->communicator()->destroy();
     }
 
     /// Each kind listens to the other one's topic. An entity server has something to say on both: messages of
@@ -399,14 +453,15 @@ class Server::Parts {
     const Clock& clock = *time;
     const SteadyClock steady{};  // of what peers cost, also where the laboratory's time stands
     transport::ConnectionLimits limits{steady, note};
+    std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;
     LoginDesk logins;
     Ice::CommunicatorHolder data;
     Ice::CommunicatorHolder signal;
     Ice::CommunicatorHolder receipts;
     std::optional<ConsoleStation> console;
-    std::optional<Ice::CommunicatorHolder> browsers;  // where there is a console
-    std::uint16_t console_session_port = 0;
+    std::optional<Ice::CommunicatorHolder> browsers, browser_signals;  // where there is a console
+    transport::DoorPorts console_ports;
     ClientsHere clients_here;
     EntitiesHere entities_here;
     std::optional<global_services::ServicesFolder> services_folder;  // none in an entity server's process
@@ -445,8 +500,8 @@ std::string Server::entityRouterAddress() const {
 std::string Server::consoleAddress() const {
     return parts_->console ? parts_->console->address() : std::string();
 }
-std::uint16_t Server::consoleSessionPort() const {
-    return parts_->console ? parts_->console_session_port : std::uint16_t{0};
+std::uint16_t Server::consoleSessionPort(Lane lane) const {
+    return lane == Lane::Signal ? parts_->console_ports.signal : parts_->console_ports.data;
 }
 
 std::string Server::readyLine() const {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -24,8 +25,12 @@ struct ConsoleSettings {
     // One endpoint each, HOST:PORT or ssl://HOST:PORT.
     std::string endpoint;          ///< of its pages; empty: no console
     std::string session_endpoint;  ///< of its sessions, over WebSocket
+    std::string signal_endpoint;   ///< of their signal lane, over WebSocket
     /// Whether the server refuses to start without it: somebody has asked for it.
     bool required = true;
+    std::string left_out;  ///< why there is none though nobody has said so, with the fix; for the log
+    /// A connection to the sessions' ports must have one by then.
+    Duration to_log_in = std::chrono::seconds{10};
     std::string folder;                ///< of the built console; empty: the one that belongs to this program
     std::vector<std::string> names;    ///< under which browsers call this machine, besides its own
     std::vector<std::string> proxies;  ///< origins, such as https://lab.example, of proxies before it
@@ -93,8 +98,8 @@ class Server {
     std::string entityRouterAddress() const;
     /// "http://127.0.0.1:10417/"; empty where there is no console.
     std::string consoleAddress() const;
-    /// The port of the console's sessions; 0 where there is none.
-    std::uint16_t consoleSessionPort() const;
+    /// The ports of the console's sessions; 0 where there is none.
+    std::uint16_t consoleSessionPort(Lane lane = Lane::Data) const;
     /// "ready client=… client-signal=… entity=… entity-signal=…", of the servers that are here, and
     /// client-router=… entity-router=… where routers are let in, and console=… where there is one.
     std::string readyLine() const;

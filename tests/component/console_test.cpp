@@ -121,20 +121,33 @@ class RawBrowser : public RawClient {
         : RawClient(Socket{endpoint}, user, password, properties) {}
 };
 
+void onAnyPorts(server::ConsoleSettings& console, const std::string& scheme = {}) {
+    console.endpoint = console.session_endpoint = console.signal_endpoint = scheme + loopbackAddress() + ":0";
+}
+
+std::string socketAt(std::uint16_t port, const std::string& resource) {
+    return "ws -h " + loopbackAddress() + " -p " + std::to_string(port) + " -r " + resource;
+}
+
 class Console : public testing::Test {
   protected:
-    explicit Console(bool with_users = false) {
+    using Change = std::function<void(server::ServerSettings&)>;
+    explicit Console(bool with_users = false, const std::vector<std::string>& proxies = {})
+        : Console(Change([&](server::ServerSettings& settings) {
+              settings.console.proxies = proxies;
+              if (!with_users) return;
+              settings.users_file = (folder / "users.cfg").string();
+              server::writeUser(settings.users_file, "boss", server::UserRole::Admin, "secret1");
+              server::writeUser(settings.users_file, "watcher", server::UserRole::Observer, "secret2");
+              server::writeUser(settings.users_file, "left", server::UserRole::Entity, "secret3");
+          })) {}
+    explicit Console(const Change& change) {
         std::string name = (fs::temp_directory_path() / "axon-console-XXXXXX").string();
         folder = ::mkdtemp(name.data());
         auto settings = onLoopback();
-        settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+        onAnyPorts(settings.console);
         settings.console.folder = (folder / "dist").string();
-        if (with_users) {
-            settings.users_file = (folder / "users.cfg").string();
-            server::writeUser(settings.users_file, "boss", server::UserRole::Admin, "secret1");
-            server::writeUser(settings.users_file, "watcher", server::UserRole::Observer, "secret2");
-            server::writeUser(settings.users_file, "left", server::UserRole::Entity, "secret3");
-        }
+        change(settings);
         server.emplace(settings);
     }
     ~Console() override {
@@ -179,10 +192,8 @@ class Console : public testing::Test {
     }
     /// A page of this console opens a session.
     Json ticket(const std::string& cookie = {}) const { return jsonOf(post("/ticket", {}, cookie)); }
-    std::string sessions() const {
-        return "ws -h " + loopbackAddress() + " -p " + std::to_string(server->consoleSessionPort()) +
-               " -r /axon";
-    }
+    std::string sessions() const { return socketAt(server->consoleSessionPort(), "/axon"); }
+    std::string signals() const { return socketAt(server->consoleSessionPort(Lane::Signal), "/axon-signal"); }
     static std::string refusalOf(const std::function<void()>& open) {
         try {
             open();
@@ -201,14 +212,29 @@ class ConsoleWithUsers : public Console {
     ConsoleWithUsers() : Console(true) {}
 };
 
+class ConsoleBehindAProxy : public Console {
+  protected:
+    ConsoleBehindAProxy() : Console(true, {"https://lab.example"}) {}
+};
+
+TEST_F(ConsoleBehindAProxy, BothLanesAreAtTheProxy) {
+    const auto login = post("/login", "user=watcher&password=secret2");
+    const auto its = ticket(cookieOf(login));
+    ASSERT_TRUE(its.contains("password")) << its;
+    const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), "https://lab.example");
+    const RawBrowser client(browser.endpoint(), "", its["password"]);
+    EXPECT_EQ(client.facts.signalEndpoint, "wss -h lab.example -p 443 -r /axon-signal");
+}
+
 TEST_F(Console, IsInTheReadyLineAndSaysWhatIsMissing) {
     EXPECT_THAT(server->readyLine(), testing::EndsWith(" console=" + server->consoleAddress()));
     EXPECT_THAT(server->consoleAddress(), StartsWith("http://" + loopbackAddress() + ":"));
     const auto page = get("/");
     EXPECT_THAT(page, StartsWith("HTTP/1.1 503 "));
     EXPECT_THAT(page, HasSubstr("--target console"));
-    EXPECT_THAT(page, HasSubstr("connect-src 'self' ws://" + loopbackAddress() + ":" +
-                                std::to_string(server->consoleSessionPort())));
+    const auto socket = " ws://" + loopbackAddress() + ":";
+    EXPECT_THAT(page, HasSubstr("connect-src 'self'" + socket + std::to_string(server->consoleSessionPort()) +
+                                socket + std::to_string(server->consoleSessionPort(Lane::Signal))));
 }
 
 TEST_F(Console, ServesWhatHasBeenBuiltMeanwhile) {
@@ -227,7 +253,7 @@ TEST_F(Console, WithoutUsersAPageOpensASessionOverWebSocketAndStopsARobot) {
     ASSERT_TRUE(its.contains("endpoint")) << its;
     const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), origin());
     RawBrowser client(browser.endpoint(), "", its["password"]);
-    EXPECT_EQ(client.facts.signalEndpoint, "") << "one lane carries everything";
+    EXPECT_EQ(client.facts.signalEndpoint, signals());
     EXPECT_EQ(client.facts.me.role, Axon::CommUtil::Role::Admin) << "the server's own user";
     EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kFirst); }));
     client.data()->ice_oneway()->sendStopSignal(transport::toIce(client.headTo(kFirst)),
@@ -239,6 +265,245 @@ TEST_F(Console, WithoutUsersAPageOpensASessionOverWebSocketAndStopsARobot) {
 TEST_F(Console, TheEndpointOfATicketIsThatOfTheSessions) {
     EXPECT_EQ(ticket()["endpoint"], sessions());
     RawBrowser(sessions(), "", "");
+}
+
+TEST_F(Console, AStopGoesOverASignalLaneOfItsOwn) {
+    RawEntity robot(server->entityAddress(Lane::Data), kFirst);
+    robot.join();
+    const WithOrigin data(loopbackAddress(), server->consoleSessionPort(), origin());
+    const WithOrigin signal(loopbackAddress(), server->consoleSessionPort(Lane::Signal), origin());
+    RawBrowser client(data.endpoint(), "", "");
+    client.attach(signal.endpoint(), client.facts.token);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kFirst); }));
+    client.stalled = true;  // the page's own data
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 1"); }));
+}
+
+TEST_F(Console, ASignalLaneIsAttachedAtItsOwnPortAndOnce) {
+    RawBrowser client(sessions(), "", "");
+    const auto refusal = [&](const std::string& endpoint, const std::string& token) {
+        return refusalOf([&] { client.attach(endpoint, token); });
+    };
+    EXPECT_THAT(refusal(sessions(), client.facts.token), HasSubstr("attachSignalLane on the signal port"));
+    EXPECT_THAT(refusal(signals(), "guessed"), HasSubstr("no session waits for this token"));
+    EXPECT_EQ(refusal(signals(), client.facts.token), "opened");
+    EXPECT_THAT(refusal(signals(), client.facts.token), HasSubstr("no session waits for this token"));
+}
+
+TEST_F(Console, AForeignPageOpensNoSignalLane) {
+    RawBrowser client(sessions(), "", "");
+    for (const auto* foreign : {"http://other.example", "null"}) {
+        const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(Lane::Signal), foreign);
+        EXPECT_THAT(refusalOf([&] { client.attach(browser.endpoint(), client.facts.token); }),
+                    HasSubstr("not this server's console"))
+            << foreign;
+    }
+    client.attach(signals(), client.facts.token);
+}
+
+TEST_F(Console, AForeignPageOpensNoSession) {
+    for (const auto* foreign : {"http://other.example", "null", "http://localhost:3000"}) {
+        const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), foreign);
+        EXPECT_THAT(refusalOf([&] { RawBrowser(browser.endpoint(), "", ""); }),
+                    HasSubstr("not this server's console"))
+            << foreign;
+    }
+}
+
+/// Whatever strangers do at one port of the sessions, it costs them their connection and nobody else
+/// anything.
+class AbusedPort : public Console, public testing::WithParamInterface<Lane> {
+  protected:
+    AbusedPort()
+        : Console(Change([](server::ServerSettings& settings) { settings.console.to_log_in = 500ms; })) {}
+    /// Both lanes are open to a browser.
+    ~AbusedPort() override {
+        RawBrowser client(sessions(), "", "");
+        client.attach(signals(), client.facts.token);
+    }
+    std::uint16_t port() const { return server->consoleSessionPort(GetParam()); }
+    std::string request(const std::string& more) const {
+        return "GET /axon HTTP/1.1\r\nHost: " + loopbackAddress() + ":" + std::to_string(port()) +
+               "\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+               "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n" +
+               more + "\r\n";
+    }
+};
+
+INSTANTIATE_TEST_SUITE_P(Console, AbusedPort, testing::Values(Lane::Data, Lane::Signal),
+                         [](const auto& of) { return of.param == Lane::Data ? "Data" : "Signal"; });
+
+TEST_P(AbusedPort, ClosesWhatIsNoWebSocket) {
+    for (const auto& garbage :
+         {std::string("\0\1\2\3\r\n\r\n", 8), std::string("IceP\1\0\1\0\3\0\16\0\0\0", 14),
+          std::string("\x16\3\1\2\0\1\0\1\xfc\3\3"), std::string("POST /axon HTTP/1.1\r\n\r\n"),
+          std::string("GET /axon HTTP/1.1\r\n\r\n"), std::string(1000, '\n'),
+          request("") + std::string(100, '\xff'),
+          request("") + std::string("\x82\xff\x7f\xff\xff\xff\xff\xff\xff\xff", 10)}) {
+        const auto fd = connectedTo(loopbackAddress(), port());
+        sendAll(fd.get(), garbage);
+        received(fd.get());
+        EXPECT_NE(errno, EAGAIN) << garbage;
+    }
+}
+
+TEST_P(AbusedPort, ClosesWhoSendsNothing) {
+    const auto silent = connectedTo(loopbackAddress(), port());
+    EXPECT_EQ(received(silent.get()), "");
+    const auto half = connectedTo(loopbackAddress(), port());
+    ::shutdown(half.get(), SHUT_WR);
+    EXPECT_EQ(received(half.get()), "");
+    const auto upgraded = connectedTo(loopbackAddress(), port());
+    sendAll(upgraded.get(), request("Sec-WebSocket-Protocol: ice.zeroc.com\r\n"));
+    EXPECT_THAT(received(upgraded.get()), StartsWith("HTTP/1.1 101 ")) << "and then it was closed";
+}
+
+TEST_P(AbusedPort, ClosesWhoSendsAByteAtATime) {
+    const auto slow = connectedTo(loopbackAddress(), port());
+    sendAll(slow.get(), "GET /axon HTTP/1.1\r\nX-Slow: ");
+    EXPECT_TRUE(waitUntil([&] { return ::send(slow.get(), "x", 1, MSG_NOSIGNAL) < 0; }));
+}
+
+TEST_P(AbusedPort, ClosesAHugeRequest) {
+    const auto fd = connectedTo(loopbackAddress(), port());
+    sendAll(fd.get(), request("X-Huge: " + std::string(1 << 20, 'x') + "\r\n"));
+    EXPECT_THAT(received(fd.get()), Not(HasSubstr("101")));
+}
+
+TEST_P(AbusedPort, RefusesAForeignPageAndOneThatNamesTwoOrigins) {
+    for (const auto& origins :
+         {std::string("http://other.example"), std::string("null"),
+          origin() + "\r\nOrigin: http://other.example", "http://other.example\r\nOrigin: " + origin()}) {
+        const WithOrigin browser(loopbackAddress(), port(), origins);
+        EXPECT_THAT(refusalOf([&] {
+                        RawBrowser client(GetParam() == Lane::Data ? browser.endpoint() : sessions(), "", "");
+                        if (GetParam() == Lane::Signal) client.attach(browser.endpoint(), client.facts.token);
+                    }),
+                    HasSubstr("not this server's console"))
+            << origins;
+    }
+}
+
+TEST_P(AbusedPort, OfManyConnectionsTheOldestIsClosed) {
+    std::vector<Descriptor> open;
+    for (int i = 0; i < 80; ++i) open.push_back(connectedTo(loopbackAddress(), port()));
+    EXPECT_EQ(received(open.front().get()), "");
+    const RawBrowser client(sessions(), "", "");
+    EXPECT_TRUE(client.data()->ice_getCachedConnection() != nullptr);
+}
+
+TEST_F(Console, AMessageThatIsLargerThanAPageSendsEndsItsSession) {
+    RawBrowser client(sessions(), "", ""), other(sessions(), "", "");
+    client.text(kFirst, std::string(std::size_t{400} << 10U, 'x'));
+    EXPECT_NO_THROW(client.data()->ice_ping());
+    client.text(kFirst, std::string(std::size_t{600} << 10U, 'x'));
+    EXPECT_TRUE(waitUntil([&] {
+        try {
+            client.data()->ice_ping();
+            return false;
+        } catch (const Ice::Exception&) {
+            return true;
+        }
+    }));
+    EXPECT_NO_THROW(other.data()->ice_ping());
+}
+
+class ConsoleWithUsers : public Console {
+  protected:
+    ConsoleWithUsers() : Console(true) {}
+};
+
+class ConsoleBehindAProxy : public Console {
+  protected:
+    ConsoleBehindAProxy() : Console(true, {"https://lab.example"}) {}
+};
+
+TEST_F(ConsoleBehindAProxy, BothLanesAreAtTheProxy) {
+    const auto login = post("/login", "user=watcher&password=secret2");
+    const auto its = ticket(cookieOf(login));
+    ASSERT_TRUE(its.contains("password")) << its;
+    const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), "https://lab.example");
+    const RawBrowser client(browser.endpoint(), "", its["password"]);
+    EXPECT_EQ(client.facts.signalEndpoint, "wss -h lab.example -p 443 -r /axon-signal");
+}
+
+TEST_F(Console, IsInTheReadyLineAndSaysWhatIsMissing) {
+    EXPECT_THAT(server->readyLine(), testing::EndsWith(" console=" + server->consoleAddress()));
+    EXPECT_THAT(server->consoleAddress(), StartsWith("http://" + loopbackAddress() + ":"));
+    const auto page = get("/");
+    EXPECT_THAT(page, StartsWith("HTTP/1.1 503 "));
+    EXPECT_THAT(page, HasSubstr("--target console"));
+    const auto socket = " ws://" + loopbackAddress() + ":";
+    EXPECT_THAT(page, HasSubstr("connect-src 'self'" + socket + std::to_string(server->consoleSessionPort()) +
+                                socket + std::to_string(server->consoleSessionPort(Lane::Signal))));
+}
+
+TEST_F(Console, ServesWhatHasBeenBuiltMeanwhile) {
+    fs::create_directories(folder / "dist/assets");
+    std::ofstream(folder / "dist/assets/a.js") << "script";
+    std::ofstream(folder / "dist/index.html") << "first page";
+    EXPECT_THAT(get("/"), HasSubstr("\r\n\r\nfirst page"));
+    EXPECT_THAT(get("/assets/a.js"), HasSubstr("Content-Type: text/javascript; charset=utf-8\r\n"));
+    EXPECT_THAT(get("/../../../../../etc/passwd"), StartsWith("HTTP/1.1 404 "));
+}
+
+TEST_F(Console, WithoutUsersAPageOpensASessionOverWebSocketAndStopsARobot) {
+    RawEntity robot(server->entityAddress(Lane::Data), kFirst);
+    robot.join();
+    const auto its = ticket();
+    ASSERT_TRUE(its.contains("endpoint")) << its;
+    const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(), origin());
+    RawBrowser client(browser.endpoint(), "", its["password"]);
+    EXPECT_EQ(client.facts.signalEndpoint, signals());
+    EXPECT_EQ(client.facts.me.role, Axon::CommUtil::Role::Admin) << "the server's own user";
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kFirst); }));
+    client.data()->ice_oneway()->sendStopSignal(transport::toIce(client.headTo(kFirst)),
+                                                Axon::CommUtil::StopCause::Requested);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("data stop accepted for 1"); }));
+}
+
+TEST_F(Console, TheEndpointOfATicketIsThatOfTheSessions) {
+    EXPECT_EQ(ticket()["endpoint"], sessions());
+    RawBrowser(sessions(), "", "");
+}
+
+TEST_F(Console, AStopGoesOverASignalLaneOfItsOwn) {
+    RawEntity robot(server->entityAddress(Lane::Data), kFirst);
+    robot.join();
+    const WithOrigin data(loopbackAddress(), server->consoleSessionPort(), origin());
+    const WithOrigin signal(loopbackAddress(), server->consoleSessionPort(Lane::Signal), origin());
+    RawBrowser client(data.endpoint(), "", "");
+    client.attach(signal.endpoint(), client.facts.token);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("joined Robot ") + kFirst); }));
+    client.stalled = true;  // the page's own data
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 1"); }));
+}
+
+TEST_F(Console, ASignalLaneIsAttachedAtItsOwnPortAndOnce) {
+    RawBrowser client(sessions(), "", "");
+    const auto refusal = [&](const std::string& endpoint, const std::string& token) {
+        return refusalOf([&] { client.attach(endpoint, token); });
+    };
+    EXPECT_THAT(refusal(sessions(), client.facts.token), HasSubstr("attachSignalLane on the signal port"));
+    EXPECT_THAT(refusal(signals(), "guessed"), HasSubstr("no session waits for this token"));
+    EXPECT_EQ(refusal(signals(), client.facts.token), "opened");
+    EXPECT_THAT(refusal(signals(), client.facts.token), HasSubstr("no session waits for this token"));
+}
+
+TEST_F(Console, AForeignPageOpensNoSignalLane) {
+    RawBrowser client(sessions(), "", "");
+    for (const auto* foreign : {"http://other.example", "null"}) {
+        const WithOrigin browser(loopbackAddress(), server->consoleSessionPort(Lane::Signal), foreign);
+        EXPECT_THAT(refusalOf([&] { client.attach(browser.endpoint(), client.facts.token); }),
+                    HasSubstr("not this server's console"))
+            << foreign;
+    }
+    client.attach(signals(), client.facts.token);
 }
 
 TEST_F(Console, AForeignPageOpensNoSession) {
@@ -286,6 +551,25 @@ TEST_F(ConsoleWithUsers, APasswordGivesACookieTheCookieATicketAndTheTicketASessi
     EXPECT_THAT(post("/ticket", {}, cookie), StartsWith("HTTP/1.1 401 "));
 }
 
+TEST_F(ConsoleWithUsers, WhoComesBackWithAnotherUsersTicketIsThatUser) {
+    const auto watcher = cookieOf(post("/login", "user=watcher&password=secret2"));
+    const auto boss = cookieOf(post("/login", "user=boss&password=secret1"));
+    std::string first, token;
+    {
+        RawBrowser client(sessions(), "watcher", ticket(watcher)["password"]);
+        first = client.facts.me.id;
+        token = client.facts.token;
+        client.data()->leave();
+    }
+    // The ticket says who it is, whatever name comes with it.
+    RawBrowser again(sessions(), "watcher", ticket(boss)["password"]);
+    EXPECT_EQ(again.facts.me.role, Axon::CommUtil::Role::Admin);
+    EXPECT_THAT(again.facts.me.name, StartsWith("boss@"));
+    EXPECT_NE(again.facts.me.id, first);
+    EXPECT_THAT(refusalOf([&] { again.attach(signals(), token); }), HasSubstr("no session waits"))
+        << "nothing of the other one's is left";
+}
+
 TEST_F(ConsoleWithUsers, APasswordOpensNoSession) {
     EXPECT_THAT(refusalOf([&] { RawBrowser(sessions(), "boss", "secret1"); }), HasSubstr("ticket"));
 }
@@ -304,7 +588,7 @@ TEST_F(ConsoleWithUsers, WrongPasswordsAreRefusedAndSlowedDown) {
 
 TEST(ConsoleStart, WhereItsPortIsTakenTheServerStartsUnlessItWasAskedFor) {
     auto settings = onLoopback();
-    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    onAnyPorts(settings.console);
     const server::Server first(settings);
     const auto address = first.consoleAddress();
     settings.console.endpoint = address.substr(7, address.size() - 8);
@@ -315,16 +599,68 @@ TEST(ConsoleStart, WhereItsPortIsTakenTheServerStartsUnlessItWasAskedFor) {
     EXPECT_EQ(second.consoleSessionPort(), 0);
 }
 
+TEST(ConsoleStart, WhereAPortOfItsSessionsIsTakenTheServerStartsAndClosesTheOthers) {
+    const Descriptor taken(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    ::inet_pton(AF_INET, loopbackAddress().c_str(), &address.sin_addr);
+    socklen_t size = sizeof address;
+    ASSERT_EQ(::bind(taken.get(), reinterpret_cast<const sockaddr*>(&address), size), 0);
+    ASSERT_EQ(::listen(taken.get(), 1), 0);
+    ::getsockname(taken.get(), reinterpret_cast<sockaddr*>(&address), &size);
+    const auto its = loopbackAddress() + ":" + std::to_string(ntohs(address.sin_port));
+    // Two more that are free, to see that they are free again.
+    auto settings = onLoopback();
+    onAnyPorts(settings.console);
+    const auto [pages, sessions] = [&] {
+        const server::Server other(settings);
+        return std::pair(other.consoleAddress().substr(7, other.consoleAddress().size() - 8),
+                         loopbackAddress() + ":" + std::to_string(other.consoleSessionPort()));
+    }();
+    settings.console.endpoint = pages;
+    settings.console.session_endpoint = sessions;
+    settings.console.signal_endpoint = its;
+    EXPECT_THROW(server::Server{settings}, std::runtime_error) << "somebody has asked for it";
+    settings.console.required = false;
+    const server::Server without(settings);
+    EXPECT_THAT(without.readyLine(), Not(HasSubstr("console=")));
+    EXPECT_EQ(without.consoleSessionPort(), 0);
+    RawClient(without.clientAddress(Lane::Data));
+    settings.console.signal_endpoint = loopbackAddress() + ":0";
+    settings.console.required = true;
+    const server::Server with(settings);
+    EXPECT_THAT(with.readyLine(), HasSubstr(pages)) << "the one without has closed its ports";
+}
+
+TEST(ConsoleStart, RefusesPagesAndSessionsAtTwoHosts) {
+    for (auto lane : {Lane::Data, Lane::Signal}) {
+        auto settings = onLoopback();
+        onAnyPorts(settings.console);
+        (lane == Lane::Data ? settings.console.session_endpoint : settings.console.signal_endpoint) =
+            "127.77.0.1:10418";
+        try {
+            const server::Server server(settings);
+            FAIL() << "expected a misconfiguration";
+        } catch (const std::runtime_error& error) {
+            EXPECT_THAT(error.what(), HasSubstr("expected one host"));
+            EXPECT_THAT(error.what(), HasSubstr("fix: give both the same host"));
+            EXPECT_THAT(error.what(), HasSubstr(loopbackAddress() + ":10418"));
+        }
+    }
+}
+
 TEST(ConsoleStart, RefusesToMixTlsAndNone) {
     auto settings = onLoopback();
-    settings.console.endpoint = loopbackAddress() + ":0";
-    settings.console.session_endpoint = "ssl://" + loopbackAddress() + ":0";
-    EXPECT_THROW(server::Server{settings}, std::runtime_error);
+    for (auto* its : {&settings.console.session_endpoint, &settings.console.signal_endpoint}) {
+        onAnyPorts(settings.console);
+        *its = "ssl://" + *its;
+        EXPECT_THROW(server::Server{settings}, std::runtime_error);
+    }
 }
 
 TEST(ConsoleStart, RefusesAProxyWithoutUsers) {
     auto settings = onLoopback();
-    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    onAnyPorts(settings.console);
     settings.console.proxies = {"https://lab.example"};
     try {
         const server::Server server(settings);
@@ -336,7 +672,7 @@ TEST(ConsoleStart, RefusesAProxyWithoutUsers) {
 
 TEST(ConsoleStart, RefusesANameThatIsNone) {
     auto settings = onLoopback();
-    settings.console.endpoint = settings.console.session_endpoint = loopbackAddress() + ":0";
+    onAnyPorts(settings.console);
     settings.console.names = {"http://lab.example"};
     EXPECT_THROW(server::Server{settings}, std::runtime_error);
 }
@@ -350,7 +686,7 @@ TEST(ConsoleOverTls, ABrowserWithoutACertificateOpensASession) {
     };
     auto settings = onLoopback();
     settings.ice_properties = issued(certificates::Kind::Server, loopbackAddress());
-    settings.console.endpoint = settings.console.session_endpoint = "ssl://" + loopbackAddress() + ":0";
+    onAnyPorts(settings.console, "ssl://");
     const server::Server server(settings);
     EXPECT_THAT(server.consoleAddress(), StartsWith("https://"));
     // It knows the CA, and has nothing to show; the files are there because the plug-in is loaded for them.
@@ -358,7 +694,9 @@ TEST(ConsoleOverTls, ABrowserWithoutACertificateOpensASession) {
     const RawBrowser client(
         "wss -h " + loopbackAddress() + " -p " + std::to_string(server.consoleSessionPort()) + " -r /axon",
         "", "", properties);
-    EXPECT_EQ(client.facts.signalEndpoint, "");
+    EXPECT_EQ(client.facts.signalEndpoint, "wss -h " + loopbackAddress() + " -p " +
+                                               std::to_string(server.consoleSessionPort(Lane::Signal)) +
+                                               " -r /axon-signal");
 }
 
 }  // namespace

@@ -266,9 +266,10 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
                                                 std::make_shared<Callback>(*this, "signal"));
         signal()->attachSignalLane(facts.token, signal_callback);
     }
-    /// In a browser, with one lane over WebSocket: an endpoint in Ice's form.
+    /// In a browser, over WebSocket: endpoints in Ice's form.
     struct Socket {
         std::string endpoint;
+        std::string signal = {};  ///< in place of the one that the server names; empty: one lane
     };
     RawClient(const Socket& socket, const std::string& user, const std::string& password,
               const std::map<std::string, std::string>& properties = {})
@@ -280,6 +281,17 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
             },
             std::make_shared<Callback>(*this, "data"));
         facts = data()->setCallback(callback);
+        if (!socket.signal.empty()) attach(socket.signal, facts.token);
+    }
+    /// Opens the signal lane of a session at this endpoint.
+    void attach(const std::string& endpoint, const std::string& token) {
+        const auto signal_callback = openSignal(
+            "ClientGate:" + endpoint,
+            [](const std::shared_ptr<Axon::FrontEndComm::ClientGatePrx>& gate) {
+                return gate->open("", "", "");
+            },
+            std::make_shared<Callback>(*this, "signal"));
+        signal()->attachSignalLane(token, signal_callback);
     }
     /// Behind a router: `first` for the data lane, `second` for the signal lane.
     struct Routers {

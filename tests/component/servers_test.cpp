@@ -42,6 +42,33 @@ TEST(ServerStart, IsReadyWithin200Milliseconds) {
     EXPECT_EQ(server.readyLine().rfind("ready client=" + loopbackAddress() + ":", 0), 0U);
 }
 
+std::size_t threadsCalled(const std::string& name) {
+    std::size_t found = 0;
+    for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+        std::string its;
+        std::getline(std::ifstream(task.path() / "comm"), its);
+        if (its == name) ++found;
+    }
+    return found;
+}
+
+TEST(ServerStart, EachOfItsPortsHasAsManyThreadsAsTheSettingsSay) {
+    auto settings = onLoopback();
+    const auto has = [&](std::size_t data, std::size_t signal, std::size_t receipts) {
+        const server::Server server(settings);
+        EXPECT_TRUE(waitUntil([&] {
+            return threadsCalled("axon-data") == data && threadsCalled("axon-signal") == signal &&
+                   threadsCalled("axon-receipts") == receipts;
+        })) << threadsCalled("axon-data")
+            << ' ' << threadsCalled("axon-signal") << ' ' << threadsCalled("axon-receipts");
+    };
+    // With one for what comes over connections that the server opens.
+    has(1 + 2, 1 + 1, 1 + 1);
+    settings.data_threads = 3;
+    settings.signal_threads = 2;
+    has(1 + 2 * 3, 1 + 2, 1 + 2);
+}
+
 TEST(ServerStart, RefusesToListenElsewhereThanOnLoopback) {
     auto settings = onLoopback();
     settings.client_endpoint = "0.0.0.0:0";

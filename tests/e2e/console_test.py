@@ -153,7 +153,8 @@ class ConsoleTest(unittest.TestCase):
         browser = Browser(address)
         page = browser.ask("GET", "/")
         self.assertEqual((page.status, page.text), (200, "<!doctype html><title>console</title>"))
-        self.assertIn(f"ws://127.0.0.1:{self.base + 8}", page.headers["Content-Security-Policy"])
+        for port in (8, 9):
+            self.assertIn(f"ws://127.0.0.1:{self.base + port}", page.headers["Content-Security-Policy"])
         self.assertEqual(browser.ask("GET", "/", **{"If-None-Match": page.headers["ETag"]}).status, 304)
         self.assertEqual(browser.ask("GET", "/", Host="rebound.example").status, 421)
         self.assertEqual(browser.ask("GET", "/%2e%2e/server.log").status, 404)
@@ -237,7 +238,8 @@ class ConsoleTest(unittest.TestCase):
         page = browser.ask("GET", "/")
         self.assertEqual(page.status, 200, page.text)
         self.assertIn(f"wss://localhost:{port}", page.headers["Content-Security-Policy"])
-        self.assertEqual(browser.ask("GET", "/", Host="other.example").status == 200, False)
+        # Caddy answers with an empty page, nginx with what the server says to that.
+        self.assertNotIn("<title>console", browser.ask("GET", "/", Host="other.example").text)
         entered = browser.ask("POST", "/login", {"user": "anna", "password": PASSWORD})
         self.assertEqual(entered.status, 200, entered.text)
         for attribute in ("Secure", "HttpOnly", "SameSite=Strict"):
@@ -245,7 +247,8 @@ class ConsoleTest(unittest.TestCase):
         self.assertTrue(browser.cookie.startswith(f"__Host-axon-{port}="), browser.cookie)
         _, ticket = browser.post("/ticket")
         self.assertEqual(ticket["endpoint"], f"wss -h localhost -p {port} -r /axon")
-        self.assertIn(" 101 ", browser.upgrade(ticket["endpoint"], browser.origin))
+        for endpoint in (ticket["endpoint"], ticket["endpoint"] + "-signal"):
+            self.assertIn(" 101 ", browser.upgrade(endpoint, browser.origin), endpoint)
         self.assertEqual(self.open(ticket, "Ice.Plugin.IceSSL=IceSSL:createIceSSL", f"IceSSL.CAs={ca}", "IceSSL.CheckCertName=1"), "opened")
         foreign = browser.ask("POST", "/ticket", Origin="https://other.example")
         self.assertEqual(foreign.status, 403)

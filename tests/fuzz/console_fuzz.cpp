@@ -66,6 +66,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     cookie(rest, "axon-10417");
     accepts(rest, "gzip");
     matchesTag(rest, "\"aa\"");
+    if (const auto client = forwardedFor(rest))
+        require(client->size() <= 45 &&
+                client->find_first_not_of("0123456789abcdefABCDEF:.") == std::string::npos);
 
     ManualClock clock;
     SeededRandom random(1);
@@ -73,7 +76,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     const auto key = visitors.enter("anna");
     Files files;
     Passwords passwords;
-    ConsoleCore core(Sites({false, 10417, 10418, {"lab"}, {"https://lab.example"}}), files, passwords,
+    ConsoleCore core(Sites({false, 10417, 10418, 10419, {"lab"}, {"https://lab.example"}}), files, passwords,
                      visitors,
                      [](const std::string& note) { require(note.find('\n') == std::string::npos); });
     Request request;

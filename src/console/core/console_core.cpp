@@ -64,15 +64,16 @@ std::string escaped(const std::string& text) {
     return out;
 }
 
+/// `folder` is empty for strangers, whom it does not concern.
 Answer notBuilt(const std::string& folder) {
     return said(
         503, kHtml,
         "<!doctype html>\n<html lang=\"en\">\n<head><meta "
         "charset=\"utf-8\"><title>Axon</title></head>\n<body>\n"
         "<h1>The Axon server runs, but its web console is not here</h1>\n"
-        "<p>Expected the file <code>index.html</code> of the built console in <code>" +
-            escaped(folder) +
-            "</code>.</p>\n"
+        "<p>Expected the file <code>index.html</code> of the built console" +
+            (folder.empty() ? std::string() : " in <code>" + escaped(folder) + "</code>") +
+            ".</p>\n"
             "<p>To build it from the sources, run <code>cmake --build --preset dev --target console</code>, "
             "which "
             "needs node and npm. "
@@ -135,7 +136,7 @@ Answer ConsoleCore::secured(Answer answer, const Site* site) {
         policy +=
             "; script-src 'self'; style-src 'self'; font-src 'self'; manifest-src 'self'; "
             "img-src 'self' data: blob:; worker-src 'self' blob:; connect-src 'self' " +
-            site->socket;
+            site->socket + (site->signal_socket == site->socket ? "" : " " + site->signal_socket);
     auto& headers = answer.headers;
     headers.emplace_back("Content-Security-Policy", policy);
     headers.emplace_back("X-Content-Type-Options", "nosniff");
@@ -149,6 +150,8 @@ Answer ConsoleCore::secured(Answer answer, const Site* site) {
 
 void ConsoleCore::handle(Request request, std::function<void(Answer)> reply) {
     const auto site = sites_.ofHost(request.host, addressOf(request.local));
+    if (site && site->proxy && isOfThisMachine(request.peer))
+        if (const auto client = forwardedFor(request.forwarded_for)) request.peer = *client + ":0";
     const auto answer = [&](Answer its) { reply(secured(std::move(its), site ? &*site : nullptr)); };
     if (!site)
         return answer(
@@ -180,10 +183,11 @@ void ConsoleCore::handle(Request request, std::function<void(Answer)> reply) {
     answer(request.path == "/logout" ? logout(request, *site) : ticket(request, *site));
 }
 
-Answer ConsoleCore::file(const Request& request, const Site&) {
+Answer ConsoleCore::file(const Request& request, const Site& site) {
     const auto files = files_.files();
     if (files->find("/index.html") == files->end()) {
-        if (request.path == "/" || request.path == "/index.html") return notBuilt(files_.folder());
+        if (request.path == "/" || request.path == "/index.html")
+            return notBuilt(isOfThisMachine(request.peer) && !site.proxy ? files_.folder() : std::string());
         return said(404, kText, "There is no such file; the console is not built.\n");
     }
     const auto found = files->find(request.path == "/" ? "/index.html" : request.path);

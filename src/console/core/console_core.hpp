@@ -14,15 +14,16 @@
 
 namespace axon::console {
 
-/// A request of HTTP that is complete. Of a header that is not there the text is empty.
+/// A request of HTTP that is complete. Of a header that is not there the text is empty; of one that is there
+/// several times it is all values, with ", " between them.
 struct Request {
     std::string method;
     std::string path;  ///< decoded, without a query
-    std::string host, origin, cookie, content_type, accept_encoding, if_none_match;
+    std::string host, origin, cookie, content_type, accept_encoding, if_none_match, forwarded_for;
     std::string body;
     bool too_large = false;  ///< the body was larger than kBodyMax, and is not here
-    std::string peer;        ///< "127.0.0.1:50122"
-    std::string local;       ///< "127.0.0.1:10417"
+    std::string peer;   ///< "127.0.0.1:50122"; of a proxy on this machine the address that it forwards for
+    std::string local;  ///< "127.0.0.1:10417"
 };
 
 struct Answer {

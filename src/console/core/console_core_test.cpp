@@ -32,15 +32,17 @@ class FakeFiles final : public FilesPort {
 class FakeLogins final : public LoginPort {
   public:
     bool needed() const override { return users; }
-    void login(const std::string& user, const std::string& password, const Request&,
+    void login(const std::string& user, const std::string& password, const Request& request,
                Answered answered) override {
         ++asked;
+        peer = request.peer;
         if (user == "anna" && password == "right") return answered(Visitor{"anna", "operator"});
         if (user == "later") return void(later = std::move(answered));
         answered(refuse(RefusalCode::PermissionDenied, "wrong user or password; fix: correct them"));
     }
     bool users = true;
     int asked = 0;
+    std::string peer;
     Answered later;
 };
 
@@ -85,8 +87,8 @@ class ConsoleCoreTest : public testing::Test {
     FakeFiles files;
     FakeLogins logins;
     std::vector<std::string> notes;
-    ConsoleCore core{Sites({false, 10417, 10418, {}, {"https://lab.example"}}), files, logins, visitors,
-                     [this](const std::string& line) { notes.push_back(line); }};
+    ConsoleCore core{Sites({false, 10417, 10418, 10419, {}, {"https://lab.example"}}), files, logins,
+                     visitors, [this](const std::string& line) { notes.push_back(line); }};
 };
 
 TEST_F(ConsoleCoreTest, TheFirstPageIsTheIndex) {
@@ -129,7 +131,8 @@ TEST_F(ConsoleCoreTest, EveryAnswerHasThePolicy) {
     for (const auto* path : {"/", "/assets/app-1.js", "/nothing", "/ticket"}) {
         const auto its = answer(request("GET", path));
         const auto policy = field(its, "Content-Security-Policy");
-        EXPECT_THAT(policy, HasSubstr("connect-src 'self' ws://127.0.0.1:10418")) << path;
+        EXPECT_THAT(policy, HasSubstr("connect-src 'self' ws://127.0.0.1:10418 ws://127.0.0.1:10419"))
+            << path;
         EXPECT_THAT(policy, HasSubstr("frame-ancestors 'none'"));
         EXPECT_THAT(policy, HasSubstr("default-src 'none'"));
         EXPECT_THAT(policy, Not(HasSubstr("unsafe"))) << path;
@@ -286,6 +289,45 @@ TEST_F(ConsoleCoreTest, AConsoleThatIsNotBuiltSaysHowToBuildIt) {
     EXPECT_THAT(*its.body, HasSubstr("--target console"));
     EXPECT_THAT(*its.body, HasSubstr("/share/&lt;console&gt;"));
     EXPECT_EQ(answer(request("GET", "/other.js")).status, 404);
+}
+
+TEST_F(ConsoleCoreTest, BehindAProxyWhoeverItForwardsForLogsIn) {
+    auto its = logIn("user=anna&password=right");
+    its.host = "lab.example";
+    its.origin = "https://lab.example";
+    its.forwarded_for = "198.51.100.1, 192.0.2.7";
+    answer(its);
+    EXPECT_EQ(logins.peer, "192.0.2.7:0");
+    its.forwarded_for = "unknown";
+    answer(its);
+    EXPECT_EQ(logins.peer, "127.0.0.1:50122");
+}
+
+TEST_F(ConsoleCoreTest, NobodyButTheProxySaysForWhomItSpeaks) {
+    auto its = logIn("user=anna&password=right");
+    its.forwarded_for = "192.0.2.7";
+    answer(its);
+    EXPECT_EQ(logins.peer, "127.0.0.1:50122") << "not under the proxy's name";
+    its.host = "lab.example";
+    its.origin = "https://lab.example";
+    its.peer = "203.0.113.5:50122";
+    its.local = "203.0.113.1:10417";
+    answer(its);
+    EXPECT_EQ(logins.peer, "203.0.113.5:50122") << "not from this machine";
+}
+
+TEST_F(ConsoleCoreTest, WhereItsFolderIsConcernsThisMachineOnly) {
+    files.all.clear();
+    auto its = request("GET", "/");
+    its.peer = "192.0.2.7:50122";
+    its.host = its.local = "192.0.2.1:10417";
+    const auto far = answer(its);
+    EXPECT_EQ(far.status, 503);
+    EXPECT_THAT(*far.body, Not(HasSubstr("/share/")));
+    EXPECT_THAT(*far.body, HasSubstr("--target console"));
+    its = request("GET", "/");
+    its.host = "lab.example";
+    EXPECT_THAT(*answer(its).body, Not(HasSubstr("/share/"))) << "anybody behind the proxy";
 }
 
 }  // namespace

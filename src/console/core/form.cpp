@@ -58,6 +58,25 @@ bool sameLetters(std::string_view one, std::string_view other) {
                       [](unsigned char a, unsigned char b) { return std::tolower(a) == std::tolower(b); });
 }
 
+/// Of IPv4, or what can only be one of IPv6.
+bool isAddress(std::string_view text) {
+    constexpr std::size_t kLongest = 45;
+    const auto of = [&](char c) { return std::count(text.begin(), text.end(), c); };
+    if (of(':') > 0)
+        return of(':') >= 2 && of(':') <= 8 && text.size() <= kLongest &&
+               text.find_first_not_of("0123456789abcdefABCDEF:.") == std::string_view::npos;
+    int numbers = 0;
+    bool proper = true;
+    split(text, '.', [&](std::string_view part) {
+        ++numbers;
+        proper = !part.empty() && part.size() <= 3 &&
+                 part.find_first_not_of("0123456789") == std::string_view::npos &&
+                 (part.size() < 3 || part <= "255");
+        return !proper;
+    });
+    return proper && numbers == 4;
+}
+
 /// "q=0", "q=0.0", "q=0.000"
 bool isNever(std::string_view parameter) {
     const auto its = trimmed(parameter);
@@ -118,6 +137,13 @@ bool matchesTag(std::string_view header, std::string_view tag) {
         return its;
     });
     return its;
+}
+
+std::optional<std::string> forwardedFor(std::string_view header) {
+    const auto comma = header.rfind(',');
+    const auto last = trimmed(comma == std::string_view::npos ? header : header.substr(comma + 1));
+    if (!isAddress(last)) return std::nullopt;
+    return std::string(last);
 }
 
 }  // namespace axon::console

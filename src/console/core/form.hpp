@@ -20,6 +20,10 @@ std::optional<std::string> cookie(std::string_view header, std::string_view name
 /// Whether a header `Accept-Encoding` permits the coding ("br", "gzip").
 bool accepts(std::string_view header, std::string_view coding);
 
+/// The last address in a header `X-Forwarded-For`, which is the one that the nearest proxy has seen; those
+/// before it may be anybody's invention. Nothing where it is no address.
+std::optional<std::string> forwardedFor(std::string_view header);
+
 /// Whether one of the tags in a header `If-None-Match` is this one, quotes included.
 bool matchesTag(std::string_view header, std::string_view tag);
 

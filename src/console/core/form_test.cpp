@@ -53,5 +53,13 @@ TEST(MatchesTag, AnyOfSeveral) {
     EXPECT_FALSE(matchesTag("", "\"b\""));
 }
 
+TEST(ForwardedFor, IsTheAddressThatTheNearestProxyHasSeen) {
+    EXPECT_EQ(forwardedFor("192.0.2.7"), "192.0.2.7");
+    EXPECT_EQ(forwardedFor("forged, 198.51.100.1,  2001:db8::7 "), "2001:db8::7");
+    for (const auto* none : {"", ",", "192.0.2.7,", "unknown", "192.0.2.7:80", "192.0.2.7 x", "[2001:db8::7]",
+                             "192.0.2", "192.0.2.256", "1.2.3.4.5", "a\nb", ":", "::x"})
+        EXPECT_FALSE(forwardedFor(none)) << none;
+}
+
 }  // namespace
 }  // namespace axon::console

@@ -11,7 +11,9 @@ namespace {
 
 constexpr std::string_view kHttp = "http://";
 constexpr std::string_view kHttps = "https://";
+// A proxy tells the two lanes apart by them.
 constexpr const char* kResource = "/axon";
+constexpr const char* kSignalResource = "/axon-signal";
 
 struct Authority {
     std::string host;
@@ -52,25 +54,38 @@ std::string written(const Authority& its, bool tls) {
     return its.port == (tls ? 443 : 80) ? its.host : its.host + ":" + std::to_string(its.port);
 }
 
-Site siteOf(const Authority& pages, std::uint16_t session_port, bool tls) {
-    const Authority sessions{pages.host, session_port};
+std::string socketOf(const Authority& its, bool tls) {
+    return (tls ? "wss://" : "ws://") + written(its, tls);
+}
+
+std::string endpointOf(const Authority& its, bool tls, const char* resource) {
+    return std::string(tls ? "wss" : "ws") + " -h " + its.host + " -p " + std::to_string(its.port) + " -r " +
+           resource;
+}
+
+Site siteOf(const Authority& pages, std::uint16_t session_port, std::uint16_t signal_port, bool tls) {
+    const Authority sessions{pages.host, session_port}, signals{pages.host, signal_port};
     Site site;
     site.origin = std::string(tls ? kHttps : kHttp) + written(pages, tls);
-    site.socket = (tls ? "wss://" : "ws://") + written(sessions, tls);
-    site.endpoint = std::string(tls ? "wss" : "ws") + " -h " + pages.host + " -p " +
-                    std::to_string(session_port) + " -r " + kResource;
+    site.socket = socketOf(sessions, tls);
+    site.endpoint = endpointOf(sessions, tls, kResource);
+    site.signal_socket = socketOf(signals, tls);
+    site.signal_endpoint = endpointOf(signals, tls, kSignalResource);
     site.secure = tls;
     return site;
 }
 
-bool isLoopback(std::string_view address) {
+}  // namespace
+
+bool isOfThisMachine(std::string_view address) {
     return address.starts_with("127.");
 }
 
-}  // namespace
-
 Sites::Sites(const Settings& settings)
-    : tls_(settings.tls), port_(settings.port), session_port_(settings.session_port) {
+    : tls_(settings.tls),
+      port_(settings.port),
+      session_port_(settings.session_port),
+      signal_port_(settings.signal_port) {
     for (const auto& name : settings.names) {
         if (!isHostName(name))
             throw std::invalid_argument("'" + name +
@@ -87,17 +102,19 @@ Sites::Sites(const Settings& settings)
             throw std::invalid_argument("'" + origin +
                                         "': expected the address that a browser calls, without a path, such "
                                         "as https://lab.example or https://lab.example:8443");
-        proxies_.push_back({written(*its, tls), siteOf(*its, its->port, tls)});
+        auto& added =
+            proxies_.emplace_back(Proxy{written(*its, tls), siteOf(*its, its->port, its->port, tls)});
+        added.site.proxy = true;
     }
 }
 
 std::optional<Site> Sites::direct(std::string_view host, std::string_view local) const {
     const auto its = authorityOf(host, tls_);
     if (!its || its->port != port_) return std::nullopt;
-    const bool ours = its->host == local || (its->host == "localhost" && isLoopback(local)) ||
+    const bool ours = its->host == local || (its->host == "localhost" && isOfThisMachine(local)) ||
                       std::find(names_.begin(), names_.end(), its->host) != names_.end();
     if (!ours) return std::nullopt;
-    return siteOf(*its, session_port_, tls_);
+    return siteOf(*its, session_port_, signal_port_, tls_);
 }
 
 std::optional<Site> Sites::ofHost(std::string_view host, std::string_view local) const {
@@ -108,14 +125,19 @@ std::optional<Site> Sites::ofHost(std::string_view host, std::string_view local)
     return direct(host, local);
 }
 
-bool Sites::isOurs(std::string_view origin, std::string_view local) const {
+std::optional<Site> Sites::ofOrigin(std::string_view origin, std::string_view local) const {
     const auto its = lower(origin);
     for (const auto& proxy : proxies_)
-        if (its == proxy.site.origin) return true;
+        if (its == proxy.site.origin) return proxy.site;
     const auto scheme = tls_ ? kHttps : kHttp;
-    if (!its.starts_with(scheme)) return false;
-    const auto site = direct(std::string_view(its).substr(scheme.size()), local);
-    return site && site->origin == its;
+    if (!its.starts_with(scheme)) return std::nullopt;
+    auto site = direct(std::string_view(its).substr(scheme.size()), local);
+    if (site && site->origin != its) site.reset();
+    return site;
+}
+
+Site Sites::ofAddress(const std::string& local) const {
+    return siteOf({local, port_}, session_port_, signal_port_, tls_);
 }
 
 }  // namespace axon::console

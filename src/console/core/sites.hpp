@@ -13,10 +13,17 @@ struct Site {
     std::string origin;    ///< "http://127.0.0.1:10417"
     std::string socket;    ///< where its sessions are, as a browser names it: "ws://127.0.0.1:10418"
     std::string endpoint;  ///< the same as Ice names it: "ws -h 127.0.0.1 -p 10418 -r /axon"
-    bool secure = false;   ///< by HTTPS
+    // The same of their signal lane: "ws://127.0.0.1:10419", "ws -h 127.0.0.1 -p 10419 -r /axon-signal".
+    std::string signal_socket;
+    std::string signal_endpoint;
+    bool secure = false;  ///< by HTTPS
+    bool proxy = false;   ///< a proxy stands before it
 
     bool operator==(const Site&) const = default;
 };
+
+/// Whether an address of IPv4, with or without a port, is one of loopback.
+bool isOfThisMachine(std::string_view address);
 
 /// Which hosts and origins are ours. A page of somebody else's site that a browser of this laboratory shows
 /// can call us, even under a name of its own that suddenly leads to our address (DNS rebinding): its
@@ -32,6 +39,7 @@ class Sites {
         bool tls = false;
         std::uint16_t port = 0;            ///< of the pages
         std::uint16_t session_port = 0;    ///< of the sessions (WebSocket)
+        std::uint16_t signal_port = 0;     ///< of their signal lane (WebSocket)
         std::vector<std::string> names;    ///< of this machine: "lab", "lab.example"
         std::vector<std::string> proxies;  ///< origins: "https://lab.example"
     };
@@ -43,9 +51,14 @@ class Sites {
     /// is not ours.
     std::optional<Site> ofHost(std::string_view host, std::string_view local) const;
 
-    /// Whether the header `Origin` of a WebSocket on a connection to the address `local` is that of one of
-    /// our pages.
-    bool isOurs(std::string_view origin, std::string_view local) const;
+    /// By the header `Origin` of a WebSocket on a connection to the address `local`. Nothing: it is not that
+    /// of one of our pages.
+    std::optional<Site> ofOrigin(std::string_view origin, std::string_view local) const;
+    bool isOurs(std::string_view origin, std::string_view local) const {
+        return ofOrigin(origin, local).has_value();
+    }
+    /// Of a peer that is no browser and names no origin: by the address to which it connected.
+    Site ofAddress(const std::string& local) const;
 
   private:
     struct Proxy {
@@ -57,6 +70,7 @@ class Sites {
     const bool tls_;
     const std::uint16_t port_;
     const std::uint16_t session_port_;
+    const std::uint16_t signal_port_;
     std::vector<std::string> names_;
     std::vector<Proxy> proxies_;
 };

@@ -8,7 +8,7 @@
 namespace axon::console {
 namespace {
 
-const Sites kPlain{{false, 10417, 10418, {"lab", "Lab.Example"}, {}}};
+const Sites kPlain{{false, 10417, 10418, 10419, {"lab", "Lab.Example"}, {}}};
 
 TEST(Sites, AreTheAddressOfTheConnectionAndLocalhost) {
     const auto site = kPlain.ofHost("127.0.0.1:10417", "127.0.0.1");
@@ -16,6 +16,8 @@ TEST(Sites, AreTheAddressOfTheConnectionAndLocalhost) {
     EXPECT_EQ(site->origin, "http://127.0.0.1:10417");
     EXPECT_EQ(site->socket, "ws://127.0.0.1:10418");
     EXPECT_EQ(site->endpoint, "ws -h 127.0.0.1 -p 10418 -r /axon");
+    EXPECT_EQ(site->signal_socket, "ws://127.0.0.1:10419");
+    EXPECT_EQ(site->signal_endpoint, "ws -h 127.0.0.1 -p 10419 -r /axon-signal");
     EXPECT_FALSE(site->secure);
     EXPECT_TRUE(kPlain.ofHost("localhost:10417", "127.0.0.1"));
     EXPECT_TRUE(kPlain.ofHost("192.168.0.5:10417", "192.168.0.5"));
@@ -55,12 +57,16 @@ TEST(Sites, AnOriginIsOursOnlyAsAWhole) {
 }
 
 TEST(Sites, BehindAProxyBothPortsAreThatOfTheProxy) {
-    const Sites sites{{false, 10417, 10418, {}, {"https://Lab.Example", "https://lab.example:8443"}}};
+    const Sites sites{{false, 10417, 10418, 10419, {}, {"https://Lab.Example", "https://lab.example:8443"}}};
     const auto site = sites.ofHost("lab.example", "127.0.0.1");
     ASSERT_TRUE(site);
     EXPECT_EQ(site->origin, "https://lab.example");
     EXPECT_EQ(site->socket, "wss://lab.example");
     EXPECT_EQ(site->endpoint, "wss -h lab.example -p 443 -r /axon");
+    EXPECT_EQ(site->signal_socket, site->socket);
+    EXPECT_EQ(site->signal_endpoint, "wss -h lab.example -p 443 -r /axon-signal");
+    EXPECT_EQ(sites.ofOrigin("https://LAB.example:8443", "127.0.0.1")->signal_endpoint,
+              "wss -h lab.example -p 8443 -r /axon-signal");
     EXPECT_TRUE(site->secure);
     EXPECT_EQ(sites.ofHost("lab.example:8443", "127.0.0.1")->endpoint, "wss -h lab.example -p 8443 -r /axon");
     EXPECT_TRUE(sites.isOurs("https://lab.example", "127.0.0.1"));
@@ -69,16 +75,20 @@ TEST(Sites, BehindAProxyBothPortsAreThatOfTheProxy) {
 }
 
 TEST(Sites, OverTlsEverythingIsSecure) {
-    const Sites sites{{true, 443, 10418, {"lab"}, {}}};
+    const Sites sites{{true, 443, 10418, 10419, {"lab"}, {}}};
     const auto site = sites.ofHost("lab", "10.0.0.1");
     ASSERT_TRUE(site);
     EXPECT_EQ(site->origin, "https://lab");
     EXPECT_EQ(site->endpoint, "wss -h lab -p 10418 -r /axon");
 }
 
+TEST(Sites, WhoNamesNoOriginIsToldTheAddressThatItConnectedTo) {
+    EXPECT_EQ(kPlain.ofAddress("192.168.0.5").signal_endpoint, "ws -h 192.168.0.5 -p 10419 -r /axon-signal");
+}
+
 TEST(Sites, RefuseSettingsThatAreNoNamesAndNoOrigins) {
     const auto with = [](std::vector<std::string> names, std::vector<std::string> proxies) {
-        return Sites({false, 1, 2, std::move(names), std::move(proxies)});
+        return Sites({false, 1, 2, 3, std::move(names), std::move(proxies)});
     };
     EXPECT_THROW(with({"http://lab"}, {}), std::invalid_argument);
     EXPECT_THROW(with({""}, {}), std::invalid_argument);

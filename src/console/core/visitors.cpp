@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "console/core/visitors.hpp"
 
+#include <sodium.h>
+
 #include <algorithm>
 
 namespace axon::console {
@@ -20,7 +22,14 @@ std::string newKey(RandomSource& random) {
 
 }  // namespace
 
-void Visitors::Book::forget(const std::string& key) {
+Visitors::Book::Digest Visitors::Book::digestOf(std::string_view key) {
+    Digest digest{};
+    crypto_generichash(digest.data(), digest.size(), reinterpret_cast<const unsigned char*>(key.data()),
+                       key.size(), nullptr, 0);
+    return digest;
+}
+
+void Visitors::Book::forget(const Digest& key) {
     const auto found = entries_.find(key);
     if (found == entries_.end()) return;
     const auto its = of_user_.find(found->second.user);
@@ -31,29 +40,30 @@ void Visitors::Book::forget(const std::string& key) {
 }
 
 void Visitors::Book::expire(TimePoint now) {
-    while (!order_.empty() && entries_.at(order_.front()).ends <= now) forget(std::string(order_.front()));
+    while (!order_.empty() && entries_.at(order_.front()).ends <= now) forget(Digest(order_.front()));
 }
 
 std::string Visitors::Book::add(const std::string& user, TimePoint now, RandomSource& random) {
     expire(now);
     if (const auto its = of_user_.find(user); its != of_user_.end() && its->second.size() >= most_of_one_)
-        forget(std::string(its->second.front()));
-    if (order_.size() >= most_) forget(std::string(order_.front()));
+        forget(Digest(its->second.front()));
+    if (order_.size() >= most_) forget(Digest(order_.front()));
     auto key = newKey(random);
-    entries_[key] = {user, now + life_};
-    order_.push_back(key);
-    of_user_[user].push_back(key);
+    const auto digest = digestOf(key);
+    entries_[digest] = {user, now + life_};
+    order_.push_back(digest);
+    of_user_[user].push_back(digest);
     return key;
 }
 
 std::optional<std::string> Visitors::Book::find(std::string_view key, TimePoint now) {
-    const auto found = entries_.find(key);
+    const auto found = entries_.find(digestOf(key));
     if (found == entries_.end() || found->second.ends <= now) return std::nullopt;
     return found->second.user;
 }
 
 void Visitors::Book::remove(std::string_view key) {
-    forget(std::string(key));
+    forget(digestOf(key));
 }
 
 std::string Visitors::enter(const std::string& user) {

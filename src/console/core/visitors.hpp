@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
 #include <deque>
 #include <map>
 #include <mutex>
@@ -17,6 +18,8 @@ namespace axon::console {
 /// A log-in gives a key of 128 random bits, which the browser keeps as a cookie that scripts cannot read, for
 /// twelve hours or until log-out. For each session a page gets a ticket, which is good once, for half a
 /// minute: a script that was smuggled into the page cannot take anything away that outlasts the visit.
+///
+/// They are known by their digests, so how long a look-up takes says nothing about those that there are.
 ///
 /// Threads: any. Bounds: of one user 32 log-ins and 16 tickets, of all users 4096 and 1024; the oldest give
 /// way. Nothing survives the server's end.
@@ -52,18 +55,20 @@ class Visitors {
         void remove(std::string_view key);
 
       private:
+        using Digest = std::array<unsigned char, 32>;
         struct Entry {
             std::string user;
             TimePoint ends;
         };
-        void forget(const std::string& key);
+        static Digest digestOf(std::string_view key);
+        void forget(const Digest& key);
         void expire(TimePoint now);
 
         const Duration life_;
         const std::size_t most_, most_of_one_;
-        std::map<std::string, Entry, std::less<>> entries_;
-        std::deque<std::string> order_;  // all live for the same time, so the oldest ends first
-        std::map<std::string, std::deque<std::string>> of_user_;
+        std::map<Digest, Entry> entries_;
+        std::deque<Digest> order_;  // all live for the same time, so the oldest ends first
+        std::map<std::string, std::deque<Digest>> of_user_;
     };
 
     const Clock& clock_;

@@ -20,7 +20,8 @@ CloseReason reasonOf(const Ice::Connection& connection) {
         return {false, "it closed the connection"};
     } catch (const Ice::MemoryLimitException&) {
         return {true, "it sent a message larger than " + std::to_string(kMessageSizeMaxKib) +
-                          " KiB (on a signal lane " + std::to_string(kSignalSizeMaxKib) + ')'};
+                          " KiB (on a signal lane, or from a browser, " + std::to_string(kSignalSizeMaxKib) +
+                          ')'};
     } catch (const Ice::ProtocolException& error) {
         return {true, std::string("it broke the protocol (") + error.ice_id() + ")"};
     } catch (const Ice::ConnectionTimeoutException&) {

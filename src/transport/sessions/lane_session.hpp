@@ -41,11 +41,13 @@ struct SessionLane {
     std::vector<Endpoint> signal_endpoints;
     OpenSessions<Servant> sessions;
     /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
-    /// waits for a password.
+    /// waits for a password. At a door for browsers it is one that refuses foreign pages at once.
     Logins* logins = nullptr;
     std::string server = {};  ///< its name, where there are several
     /// Of the data lane. Null on the signal lane: its peer has told its release on the other one.
     ReleaseNotes* releases = nullptr;
+    /// In place of `signal_endpoints`, where it depends on how the peer came.
+    std::function<std::string(const PeerConnection& peer)> tell_signal_endpoint = {};
 
     /// A session was opened for `peer` ("a client"), which has told this release.
     void noteRelease(const std::string& peer, const std::string& release) const {
@@ -56,6 +58,7 @@ struct SessionLane {
     /// router, which knows.
     std::string signalEndpoint(const PeerConnection& peer) const {
         if (peer.routed()) return {};
+        if (tell_signal_endpoint) return tell_signal_endpoint(peer);
         for (auto endpoint : signal_endpoints) {
             if (endpoint.tls != peer.tls()) continue;
             if (endpoint.host.empty()) endpoint.host = peer.localAddress();
