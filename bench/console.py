@@ -98,23 +98,30 @@ class Talk:
 class Browsers(Talk):
     def __init__(self, work, log):
         super().__init__("the browsers", ["node", "tools/measure.mjs"], log, cwd=work / "console")
-        self.frozen = {}
 
     def do(self, what, **more):
         return self.ask(json.dumps({"do": what, **more}))
 
     def open(self, url, scanning, selected):
-        self.frozen = {}
         for page, more in (("laboratory", {"select": selected}), ("entity", {})):
-            found = self.do("open", page=page, url=url, name=scanning, **more)["processes"]
-            # What runs the page, and what has its connections.
-            self.frozen[page] = [one["pid"] for one in found if one["type"] == "renderer" or one["type"].startswith("utility")]
+            self.do("open", page=page, url=url, name=scanning, **more)
 
-    def signal(self, number):
-        for pids in self.frozen.values():
+    @contextlib.contextmanager
+    def frozen(self):
+        """As if their machine stood still."""
+        pids = []
+        for page, found in self.do("processes").items():
+            if {one["type"] for one in found} != {"renderer", "network"}:
+                raise Failed(f"the Chromium of the page '{page}' has other processes than expected: {found}")
+            pids += [one["pid"] for one in found]
+        try:
+            for pid in pids:
+                os.kill(pid, signal.SIGSTOP)
+            yield
+        finally:
             for pid in pids:
                 with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, number)
+                    os.kill(pid, signal.SIGCONT)
 
 
 class Measurement:
@@ -171,12 +178,9 @@ class Measurement:
 
     def frozen(self):
         self.say("stops with both browsers frozen")
-        self.browsers.signal(signal.SIGSTOP)
-        try:
+        with self.browsers.frozen():
             self.begin_stops(self.args.stops)
             self.end_stops("frozen")
-        finally:
-            self.browsers.signal(signal.SIGCONT)
         self.browsers.do("connected")
 
     def run(self):
@@ -273,7 +277,8 @@ def main():
     lab = Laboratory(bin_folder, environment="embedded")
     talks = []
     try:
-        lab.start_server(None, "--console-files", dist, "--console-endpoint", "127.0.0.1:0", "--console-session-endpoint", "127.0.0.1:0")
+        lab.start_server(None, "--console-files", dist, "--console-endpoint", "127.0.0.1:0", "--console-session-endpoint", "127.0.0.1:0",
+                         "--console-signal-endpoint", "127.0.0.1:0")
         folder = lab.folder / "beside"
         folder.mkdir()
         beside = Talk("axon-bench beside-console", [bin_folder / "axon-bench", "beside-console", folder, lab.at["entity"], lab.at["client"], args.entities, args.scans],

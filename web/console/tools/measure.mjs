@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The browsers of bench/console.py: each line of standard input is a command in JSON, and is answered with a line of JSON.
-//   {"do": "open", "page": "laboratory" | "entity", "url": …, "name": entity}   a Chromium of its own; its processes
+//   {"do": "open", "page": "laboratory" | "entity", "url": …, "name": entity}   a Chromium of its own
+//   {"do": "processes"}                 of each page: those that run pages, and the one that has their connections
 //   {"do": "frames", "seconds": 30}     of each page: milliseconds between its frames
 //   {"do": "memory"}                    of each page: its JavaScript heap, and what its process has
 //   {"do": "stop", "page": …}           presses the stop button; milliseconds until the receipt stands there
@@ -49,11 +50,16 @@ function watchStops() {
         });
 }
 
+/** Those that run pages, and the one that has their connections. */
 async function processes(browser) {
     const session = await browser.newBrowserCDPSession();
     const { processInfo } = await session.send("SystemInfo.getProcessInfo");
     await session.detach();
-    return processInfo.map(({ type, id, cpuTime }) => ({ type, pid: id, cpu_s: cpuTime }));
+    return processInfo.flatMap(({ id }) => {
+        const words = readFileSync(`/proc/${id}/cmdline`, "utf8");
+        if (words.includes("--type=renderer")) return [{ type: "renderer", pid: id }];
+        return words.includes("network.mojom.NetworkService") ? [{ type: "network", pid: id }] : [];
+    });
 }
 /** In MiB. */
 function memoryOf(pid) {
@@ -78,7 +84,12 @@ const commands = {
         const cdp = await page.context().newCDPSession(page);
         await cdp.send("Performance.enable");
         open.set(which, { browser, page, cdp });
-        return { processes: await processes(browser) };
+        return {};
+    },
+    async processes() {
+        const found = {};
+        for (const [which, { browser }] of open) found[which] = await processes(browser);
+        return found;
     },
     async frames({ seconds }) {
         const all = [...open].map(async ([which, { page }]) => [which, await page.evaluate((ms) => globalThis.countFrames(ms), seconds * 1000)]);
