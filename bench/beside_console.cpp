@@ -60,8 +60,8 @@ nlohmann::json stop(client::Client& client, Entities& entities, const Stops& wis
             continue;
         }
         receipts.push_back(static_cast<double>(end - begin) / 1e6);
-        const auto reached = (*entities.robots())[i].stops.of(
-            static_cast<std::uint32_t>(answer->front().stop_generation));
+        const auto reached =
+            (*entities.robots())[i].stops.of(static_cast<std::uint32_t>(answer->front().stop_generation));
         robots.push_back(reached < begin ? nlohmann::json()
                                          : nlohmann::json(static_cast<double>(reached - begin) / 1e6));
     }

@@ -19,8 +19,8 @@ struct BesideConsole {
 /// Says "ready" on standard output. Then it carries out one line of standard input after another, and answers
 /// each with a line of JSON, until standard input ends:
 /// * `stop FIRST COUNT N PERIOD_MS`: N stops, one entity at a time, of lab-FIRST … in turn, one each period:
-///   `receipt_ms`, from the call to the receipt that confirms it, and `robot_ms`, from the call to the begin of
-///   the stop callback; null where it did not come.
+///   `receipt_ms`, from the call to the receipt that confirms it, and `robot_ms`, from the call to the begin
+///   of the stop callback; null where it did not come.
 /// * `scans`: how many have arrived since the last such line, and how many of those sent were left out.
 int runBesideConsole(const BesideConsole& wish);
 

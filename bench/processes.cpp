@@ -113,12 +113,12 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     beside->add_option("client-server", its->prefix)->required();
     beside->add_option("entities", its->count)->required();
     beside->add_option("scans", its->scans)->required();
-    all.push_back({beside, [its] {
-                       takeInterrupts();
-                       descriptorsPermitted();
-                       return runBesideConsole(
-                           {its->board, its->server, its->prefix, its->count, its->scans});
-                   }});
+    all.push_back(
+        {beside, [its] {
+             takeInterrupts();
+             descriptorsPermitted();
+             return runBesideConsole({its->board, its->server, its->prefix, its->count, its->scans});
+         }});
 
     all.push_back({hidden(app, "raw-router", "the raw router"), runRawRouter});
     return all;

@@ -22,8 +22,8 @@ RobotPlace robotPlace(const std::filesystem::path& board, std::size_t index);
 /// Applications PREFIX-FIRST … in one process, each with an Entity Interfacer of its own (and its three
 /// threads) and nothing behind it. Each notes on a board when its callbacks begin: data by its number, a stop
 /// by its generation. A text is sent back. Those of the first `scans` of all of them stream what a laser
-/// scanner with 181 beams sees, ten times a second, and stand in a square grid with the others. Runs until its
-/// parent dies.
+/// scanner with 181 beams sees, ten times a second, and stand in a square grid with the others. Runs until
+/// its parent dies.
 int runRobots(const std::string& board_file, std::size_t slots, std::size_t first, std::size_t count,
               const std::string& prefix, std::size_t scans);
 

@@ -86,7 +86,7 @@ class HttpsTest(unittest.TestCase):
                        "--server", self.lab.at["entity"], "--config", manager)
 
     def visit(self, url, env=None):
-        done = subprocess.run(["node", "test/e2e/visit.mjs", url, "anna", PASSWORD, "Greeter"], cwd=WORK / "console", timeout=120,
+        done = subprocess.run(["node", "test/e2e/visit.mjs", url, "anna", PASSWORD, "Greeter"], cwd=WORK / "console", timeout=240,
                               env={**os.environ, "HOME": str(self.home), "AXON_CHROMIUM": CHROMIUM, **(env or {})},
                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
         return done.returncode, done.stdout

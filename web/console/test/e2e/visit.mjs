@@ -10,7 +10,7 @@ const browser = await chromium.launch({ executablePath: process.env.AXON_CHROMIU
 try {
     const context = await browser.newContext({ locale: "en-GB" });
     const page = await context.newPage();
-    page.setDefaultTimeout(15_000);
+    page.setDefaultTimeout(30_000);
     const complaints = [];
     const sockets = [];
     page.on("pageerror", (error) => complaints.push(error.message));
