@@ -272,7 +272,7 @@ def main():
     os.environ["AXON_CHROMIUM"] = chromium
     work = (args.work or bin_folder.parent / "web" / "work").resolve()
     dist = workspace.build_console(work)
-    about = {"experiment": "console", "date": datetime.date.today().isoformat(), "machine": machine(chromium),
+    about = {"experiment": "console", "began": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"), "machine": machine(chromium),
              "settings": {"entities": args.entities, "scans": args.scans, "seconds": args.seconds, "stops": args.stops, "period_ms": PERIOD_MS}}
     lab = Laboratory(bin_folder, environment="embedded")
     talks = []

@@ -72,6 +72,8 @@ class Small(unittest.TestCase):
                                    "--seconds", "2", "--stops", "5"], capture_output=True, text=True, timeout=280, check=False)
             self.assertIn(done.returncode, (0, 1), f"{done.stdout}\n{done.stderr}")
             result = json.loads(file.read_text())
+            tables = subprocess.run([sys.executable, ROOT / "bench/tables.py", file], capture_output=True, text=True, timeout=60, check=True).stdout
+            self.assertIn("### console (console.json, ", tables)
         self.assertEqual({name: its["receipt"]["lost"] for name, its in result["stops"].items()},
                          dict.fromkeys(("warm_up", "absent_before", "present", "frozen", "absent_after"), 0))
         for its in result["stops"].values():
