@@ -107,7 +107,7 @@ AxonServer::AxonServer(const fs::path& folder, const Radio* radio)
 }
 
 Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_t n,
-                   const std::string& server, const Radio* radio, Variant variant)
+                   const std::string& server, const Radio* radio, Variant variant, std::size_t scans)
     : board_((folder / (prefix + ".board")).string(), n, true) {
     const auto own = descriptorsPermitted() - std::min(descriptorsPermitted(), kOwnDescriptors);
     const auto wired = radio ? firstWireless(n) : n;
@@ -135,7 +135,7 @@ Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_
     };
     if (hasRobots(variant)) {
         robots_.emplace((folder / (prefix + ".robots")).string(), n, true);
-        start("robots", ".robots", kDescriptorsOfRobot, {}, *robots_);
+        start("robots", ".robots", kDescriptorsOfRobot, {std::to_string(scans)}, *robots_);
     }
     start("crowd", ".board", descriptorsOfEach(variant), {server, std::to_string(static_cast<int>(variant))},
           board_);

@@ -43,10 +43,11 @@ struct Running {
 /// named PREFIX-0 … PREFIX-N-1. With a radio link the second half is in other processes beyond it.
 class Entities {
   public:
-    /// `server`: HOST:PORT, or the configuration file of an Entity Manager. Throws std::runtime_error with
-    /// the log.
+    /// `server`: HOST:PORT, or the configuration file of an Entity Manager. `scans`: as of runRobots(), where
+    /// there are robot applications. Throws std::runtime_error with the log.
     Entities(const std::filesystem::path& folder, const std::string& prefix, std::size_t n,
-             const std::string& server, const Radio* radio = nullptr, Variant variant = Variant::Relayed);
+             const std::string& server, const Radio* radio = nullptr, Variant variant = Variant::Relayed,
+             std::size_t scans = 0);
     Board& board() { return board_; }
     /// Where the robot applications note; null where there are none.
     Board* robots() { return robots_ ? &*robots_ : nullptr; }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <memory>
 
+#include "beside_console.hpp"
 #include "crowd.hpp"
 #include "experiment.hpp"
 #include "herd.hpp"
@@ -16,7 +17,7 @@ namespace {
 
 struct Arguments {
     std::string board, server, prefix, mode;
-    std::size_t count = 0, first = 0, other = 0;
+    std::size_t count = 0, first = 0, other = 0, scans = 0;
     std::uint64_t seed = 1;
     std::uint16_t port = 0;
     int qos = 0;
@@ -55,8 +56,11 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
                    }});
 
     auto* robots = beginPart("robots", "robot applications");
-    all.push_back(
-        {robots, [its] { return runRobots(its->board, its->other, its->first, its->count, its->prefix); }});
+    robots->add_option("scans", its->scans)->required();
+    all.push_back({robots, [its] {
+                       return runRobots(its->board, its->other, its->first, its->count, its->prefix,
+                                        its->scans);
+                   }});
 
     auto* herd = begin("herd", "standard clients");
     herd->add_option("count", its->count)->required();
@@ -102,6 +106,19 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     raw->add_option("count", its->count)->required();
     raw->add_option("port", its->port)->required();
     all.push_back({raw, [its] { return runTcpReceivers(RawReceiver(), its->board, its->count, its->port); }});
+
+    auto* beside = hidden(app, "beside-console", "entities and a client, for bench/console.py");
+    beside->add_option("folder", its->board)->required();
+    beside->add_option("entity-server", its->server)->required();
+    beside->add_option("client-server", its->prefix)->required();
+    beside->add_option("entities", its->count)->required();
+    beside->add_option("scans", its->scans)->required();
+    all.push_back(
+        {beside, [its] {
+             takeInterrupts();
+             descriptorsPermitted();
+             return runBesideConsole({its->board, its->server, its->prefix, its->count, its->scans});
+         }});
 
     all.push_back({hidden(app, "raw-router", "the raw router"), runRawRouter});
     return all;

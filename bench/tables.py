@@ -106,8 +106,21 @@ def runs(result):
           [[row["what"], row["ms"]["n"], *(cell(row["ms"], key) for key in ("mean", "p50", "p99"))] for row in result["results"]])
 
 
+def console(result):
+    table(["stops of the client of C++", "n", "lost", "to the receipt: p50 / p99 / max ms", "to the callback: p50 / p99 ms", "scans in a second", "left out"],
+          [[name, its["receipt"]["n"], its["receipt"]["lost"], cell(its["receipt"], "p50", "p99", "max"), cell(its["robot"], "p50", "p99"),
+            figure(its["scans_in_a_second"]), its["scans_left_out"]] for name, its in result["stops"].items()])
+    table(["stops in turns", "n", "lost", "p50 / p99 / max ms"],
+          [[name, its["n"], its["lost"], cell(its, "p50", "p99", "max")] for name, its in result["in_turns"].items()])
+    memory = result["memory_after"]
+    table(["page", "frames", "in a second: median / worst 5 %", "longest pause ms", "process MiB", "its own", "JavaScript heap"],
+          [[page, its["n"], cell(its, "median", "worst_5_percent"), figure(its["longest_ms"]), *(figure(memory[page][key]) for key in ("resident", "own", "heap"))]
+           for page, its in result["frames"].items()])
+    table(["claim", "measured", "holds"], [[one["claim"], one["found"], "yes" if one["holds"] else "**no**"] for one in result["claims"]])
+
+
 for name in sys.argv[1:]:
     one = json.loads(pathlib.Path(name).read_text())
     print(f"### {one['experiment']} ({pathlib.Path(name).name}, {one['began']})")
     print()
-    {"peers": peers, "saturation": saturation, "growth": growth, "chapter5": chapter5, "runs": runs}[one["experiment"]](one)
+    {"peers": peers, "saturation": saturation, "growth": growth, "chapter5": chapter5, "runs": runs, "console": console}[one["experiment"]](one)

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The web console as a browser meets it: straight at the server, over its own TLS, and behind nginx.
+"""The web console as a browser meets it: straight at the server, over its own TLS, and behind nginx and Caddy.
 
     python3 tests/e2e/console_test.py --bin build/dev/bin [unittest options]
 """
@@ -9,7 +9,6 @@ import http.client
 import json
 import os
 import pathlib
-import shutil
 import socket
 import ssl
 import subprocess
@@ -19,13 +18,13 @@ import unittest
 import urllib.parse
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tests" / "e2e")]
+import fronts  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import Laboratory, Process, addresses, keep_if_failed, programs, wait_until  # noqa: E402
+from laboratory import Laboratory, addresses, keep_if_failed, programs  # noqa: E402
 
 BIN = programs()
 PASSWORD = "secret of anna"
-NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 # Debian's Python has Ice; another may not.
 PYTHON = "/usr/bin/python3"
 OPEN = """
@@ -225,51 +224,26 @@ class ConsoleTest(unittest.TestCase):
         with self.assertRaises((OSError, http.client.HTTPException)):
             plain.ask("GET", "/")
 
-    def start_nginx(self, port, name):
-        text = (ROOT / "deploy" / "config" / "console_nginx.conf").read_text()
-        certs = self.lab.folder / "certs"
-        for old, new in (("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"), ("lab.example;", f"{name};"),
-                         ("127.0.0.1:10417", f"127.0.0.1:{self.base + 7}"), ("127.0.0.1:10418", f"127.0.0.1:{self.base + 8}"),
-                         ("127.0.0.1:10419", f"127.0.0.1:{self.base + 9}"),
-                         ("/etc/ssl/certs/lab.example.pem", str(certs / f"server-{name}.cert.pem")),
-                         ("/etc/ssl/private/lab.example.key", str(certs / f"server-{name}.key.pem"))):
-            self.assertIn(old, text)
-            text = text.replace(old, new)
-        folder = self.lab.folder / "nginx"
-        folder.mkdir()
-        paths = "".join(f"{what}_temp_path {folder}/{what};\n" for what in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
-        user = "user root;\n" if os.geteuid() == 0 else ""
-        (folder / "nginx.conf").write_text(
-            f"{user}daemon off;\nworker_processes 1;\npid {folder}/pid;\nerror_log stderr;\nevents {{}}\n"
-            f"http {{\naccess_log off;\n{paths}{text}}}\n")
-        nginx = Process("nginx", [NGINX, "-e", "stderr", "-p", folder, "-c", folder / "nginx.conf"], self.lab.folder, self.lab.env)
-        self.lab.processes.append(nginx)
-
-        def answers():
-            self.assertIsNone(nginx.child.poll(), nginx.text())
-            try:
-                socket.create_connection(("127.0.0.1", port), timeout=1).close()
-                return True
-            except OSError:
-                return False
-        wait_until(answers, "nginx listens")
-
-    @unittest.skipUnless(NGINX, "needs nginx")
-    @unittest.skipUnless(has_ice(), "needs python3-zeroc-ice")
-    def test_behind_nginx(self):
+    def behind(self, kind):
         self.certs("init")
         self.certs("issue", "--server", "localhost")
         port = self.base + 10
         file = self.lab.folder / "server.cfg"
         file.write_text(f"Console.Proxies=https://localhost:{port}\n")
         self.start(*self.with_users(), "--config", file)
-        self.start_nginx(port, "localhost")
-        ca = self.lab.folder / "certs" / "ca.cert.pem"
+        certs = self.lab.folder / "certs"
+        fronts.start(kind, self.lab, name="localhost", port=port, base=self.base, certs=certs)
+        ca = certs / "ca.cert.pem"
         browser = Browser(f"https://localhost:{port}/", ca)
         page = browser.ask("GET", "/")
         self.assertEqual(page.status, 200, page.text)
         self.assertIn(f"wss://localhost:{port}", page.headers["Content-Security-Policy"])
-        self.assertEqual(browser.post("/login", {"user": "anna", "password": PASSWORD})[0], 200)
+        # Caddy answers with an empty page, nginx with what the server says to that.
+        self.assertNotIn("<title>console", browser.ask("GET", "/", Host="other.example").text)
+        entered = browser.ask("POST", "/login", {"user": "anna", "password": PASSWORD})
+        self.assertEqual(entered.status, 200, entered.text)
+        for attribute in ("Secure", "HttpOnly", "SameSite=Strict"):
+            self.assertIn(attribute, entered.headers["Set-Cookie"])
         self.assertTrue(browser.cookie.startswith(f"__Host-axon-{port}="), browser.cookie)
         _, ticket = browser.post("/ticket")
         self.assertEqual(ticket["endpoint"], f"wss -h localhost -p {port} -r /axon")
@@ -278,6 +252,16 @@ class ConsoleTest(unittest.TestCase):
         self.assertEqual(self.open(ticket, "Ice.Plugin.IceSSL=IceSSL:createIceSSL", f"IceSSL.CAs={ca}", "IceSSL.CheckCertName=1"), "opened")
         foreign = browser.ask("POST", "/ticket", Origin="https://other.example")
         self.assertEqual(foreign.status, 403)
+
+    @unittest.skipUnless(fronts.NGINX, "needs nginx")
+    @unittest.skipUnless(has_ice(), "needs python3-zeroc-ice")
+    def test_behind_nginx(self):
+        self.behind("nginx")
+
+    @unittest.skipUnless(fronts.CADDY, "needs caddy")
+    @unittest.skipUnless(has_ice(), "needs python3-zeroc-ice")
+    def test_behind_caddy(self):
+        self.behind("caddy")
 
 
 if __name__ == "__main__":
