@@ -549,6 +549,15 @@ class Lab:
     def server(self) -> str:
         return self._native.server()
 
+    @property
+    def present(self) -> bool:
+        """As axon.Lab.present."""
+        return self._native.present()
+
+    @present.setter
+    def present(self, somebody: bool) -> None:
+        self._native.set_present(somebody)
+
     def entities(self, all: bool = False) -> Entities:  # pylint: disable=redefined-builtin
         return Entities(self._native.entities(all))
 

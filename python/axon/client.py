@@ -689,6 +689,16 @@ class Lab:
         """Its address."""
         return self._native.server()
 
+    @property
+    def present(self) -> bool:
+        """Whether somebody watches the robots; True unless the program says otherwise. While it is False and a task runs, this
+        client counts as lost: the robots are stopped, as on_client_loss of each service says."""
+        return self._native.present()
+
+    @present.setter
+    def present(self, somebody: bool) -> None:
+        self._native.set_present(somebody)
+
     def entities(self, all: bool = False) -> Entities:  # pylint: disable=redefined-builtin
         """The entities that are ready; with `all`, also those that are not."""
         return Entities(self._native.entities(all))

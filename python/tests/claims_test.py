@@ -20,7 +20,6 @@ ELSEWHERE = {
     "WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritten": "of the way that messages are written, which is below both interfaces",
     "KeepsItsSessionWithWatchdogsOfTheServerThatItHasReconnectedTo": "of heartbeats, which are below both interfaces",
     "ALostServerIsToldAndTheClientComesBack": "needs a server that ends: processes_test.py",
-    "AnOperatorWhoIsNotThereStopsTheRobot": "in Python that is a blocked interpreter: interpreter_test.py",
 }
 # What is contrary in Python.
 CONTRARY = {"WaitingInACallbackIsAMisuseThatIsNamed": "waiting_in_a_callback_is_allowed"}
@@ -308,6 +307,15 @@ def test_an_entity_that_leaves_is_lost_with_a_reason(laboratory, client, take, d
     wait_until(lambda: lost)
     assert lost[0].message
     assert task.wait(5).state == TaskState.UNKNOWN
+
+
+def test_an_operator_who_is_not_there_stops_the_robot(laboratory, client, take, drive):
+    entity = laboratory.add()
+    lab = client(reconnect=False)
+    drive(take(lab), entity)
+    assert lab.present
+    lab.present = False
+    assert entity.do("expect_stop")["cause"] == "CLIENT_LOST"
 
 
 def test_waiting_in_a_callback_is_allowed(laboratory, client, take, drive):

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include <atomic>
 #include <iterator>
 
 #include "bindings.hpp"
@@ -54,6 +55,7 @@ auto textInto(FeedPtr feed, int tag) {
 
 struct NativeClient {
     std::shared_ptr<KeepRunning> keep_running;  // outlives the client, whose heartbeats ask it
+    std::shared_ptr<std::atomic<bool>> present = std::make_shared<std::atomic<bool>>(true);
     std::shared_ptr<Client> client;
 
     std::shared_ptr<Client> get() const {
@@ -119,8 +121,10 @@ std::shared_ptr<NativeClient> connectTo(Options options, std::optional<Seconds> 
         if (!(keep_running->count() > 0))
             throw py::value_error("keep_running: a time above 0 s was expected, or None for ever");
         connection->keep_running = std::make_shared<KeepRunning>(*keep_running);
-        options.keep_running = [asked = connection->keep_running] { return asked->runs(); };
     }
+    options.keep_running = [present = connection->present, asked = connection->keep_running] {
+        return *present && (!asked || asked->runs());
+    };
     GiveUp never;
     auto result = interruptibly(never, [options] {
         return std::make_shared<Result<std::unique_ptr<Client>>>(Client::connect(options));
@@ -411,6 +415,8 @@ void bindConnection(py::module_& module) {
                      released(end);
                  });
              })
+        .def("present", [](const NativeClient& self) { return self.present->load(); })
+        .def("set_present", [](const NativeClient& self, bool present) { *self.present = present; })
         .def("close", [](NativeClient& self) { released([&] { self.close(); }); });
 }
 
