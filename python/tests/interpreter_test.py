@@ -19,15 +19,21 @@ import axon
 lab = axon.connect(sys.argv[1], {options})
 robot = lab.checkout("PeopleBot")
 task = robot.start("Drive", Distance=1)
-while task.report.state != axon.TaskState.RUNNING:
-    time.sleep(0.01)
+for update in task:
+    if update.state == axon.TaskState.RUNNING:
+        break
+
+def aside(call):
+    begun = threading.Event()
+    threading.Thread(target=lambda: (begun.set(), call()), daemon=True).start()
+    begun.wait()
 """
 
 
 def program(laboratory, text, options="", begin=BEGIN):
     """A Python program of its own that holds the robot, whose task runs. It has printed "ready"."""
     child = subprocess.Popen([sys.executable, "-c", begin.format(options=options) + textwrap.dedent(text), laboratory.server],
-                             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+                             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "ready\n", child.stderr.read()
     return child
 
@@ -92,10 +98,10 @@ print("ready", flush=True)
     "",
     "raise SystemExit(0)",
     "robot.on_text(print); robot.on_lost(print); lab.on_entity(lambda *_: None)",
-    "threading.Thread(target=lambda: robot.scan.next(60), daemon=True).start(); time.sleep(0.2)",
-    "threading.Thread(target=task.wait, daemon=True).start(); time.sleep(0.2)",
-    "threading.Thread(target=lambda: lab.wait_for('Nobody', 60), daemon=True).start(); time.sleep(0.2)",
-    "for _ in range(8): threading.Thread(target=lambda: [lab.entities() for _ in iter(int, 1)], daemon=True).start()\ntime.sleep(0.2)",
+    "aside(lambda: robot.scan.next(60))",
+    "aside(task.wait)",
+    "aside(lambda: lab.wait_for('Nobody', 60))",
+    "for _ in range(8): aside(lambda: [lab.entities() for _ in iter(int, 1)])\nlab.drill('PeopleBot', count=3)",
     "watch = robot.scan.watch(); del lab, robot, task",
     "import gc; robot.me = robot; lab.me2 = lab; watch = robot.scan.watch(); watch.me = watch",
 ])
@@ -114,12 +120,18 @@ def test_the_interpreter_ends_cleanly_with_a_live_connection(laboratory, robot, 
 WAITS = """
 def work():
     {wait}
-print("ready", flush=True)
 try:
+    print("ready", flush=True)
     work()
 except KeyboardInterrupt:
     print("interrupted", flush=True)
 """
+
+
+def switches(child):
+    """How often its main thread has waited."""
+    with open(f"/proc/{child.pid}/status", encoding="utf-8") as status:
+        return int(next(line for line in status if line.startswith("voluntary")).split()[1])
 
 
 @pytest.mark.parametrize("wait", [
@@ -135,7 +147,8 @@ except KeyboardInterrupt:
 ])
 def test_a_keyboard_interrupt_ends_every_wait(laboratory, robot, wait):
     child = program(laboratory, WAITS.format(wait=wait))
-    time.sleep(0.5)
+    before = switches(child)
+    wait_until(lambda: switches(child) > before + 4, "it waits")
     begin = time.monotonic()
     child.send_signal(signal.SIGINT)
     assert child.stdout.readline() == "interrupted\n", child.stderr.read()
@@ -144,22 +157,24 @@ def test_a_keyboard_interrupt_ends_every_wait(laboratory, robot, wait):
     robot.do("expect_stop")
 
 
-def test_an_interrupted_run_cancels_its_task(laboratory, robot):
+def test_an_interrupted_run_cancels_its_task(laboratory, robot, client):
     child = program(laboratory, """
         task.cancel()
-        print("ready", flush=True)
         try:
+            print("ready", flush=True)
             robot.run("Drive", Distance=2)
         except KeyboardInterrupt:
-            deadline = time.monotonic() + 5
-            while lab.find("PeopleBot").state == axon.EntityState.BUSY and time.monotonic() < deadline:
-                time.sleep(0.01)
-            print(lab.find("PeopleBot").state.name)
+            sys.stdin.readline()
         """)
     robot.do("expect_task")
     robot.do("expect_task")
+    other = client()
+    wait_until(lambda: other.find("PeopleBot").state == axon.EntityState.BUSY)
     child.send_signal(signal.SIGINT)
-    assert ends(child)[0] == "REG\n"
+    wait_until(lambda: other.find("PeopleBot").state == axon.EntityState.REG, "cancelled while the program goes on")
+    assert child.poll() is None
+    child.stdin.write("\n")
+    ends(child)
 
 
 def test_the_interpreter_may_be_blocked_while_news_arrive(laboratory, robot, client):
