@@ -11,6 +11,13 @@ Whatever is not done raises Refused, with a code for the program and a message f
 the same as coroutines. It is the C++ client library inside: what that promises about leases, stops and lost connections holds
 here, too. Free under GPL version 2 or later.
 """
+from pkgutil import extend_path
+
+# A program that speaks to the servers itself may have compiled the contracts into a folder of the same name
+# (docs/how-to/foreign-client.md).
+__path__ = extend_path(__path__, __name__)
+
+# pylint: disable=wrong-import-position
 from ._native import (Details, DrillReport, Entity, EntityFinding, GlobalFile, GlobalService, GlobalServices, GlobalStep, HandOverPolicy,
                       HandOverRequest, Parameter, Participant, Proposal, Receipt, Refusal, Resource, RoleOutlook, RunHistory, RunProblem,
                       RunRecord, RunReport, Sender, Service, StepReport, TaskReport, Unfit, Waiting, WatchdogMargin)
