@@ -1,0 +1,13 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "bindings.hpp"
+#include "gil.hpp"
+
+PYBIND11_MODULE(_native, module) {
+    using namespace axon::python;
+    module.doc() =
+        "The C++ client library of Axon. Programs use the package axon, which says what everything here "
+        "means.";
+    bindValues(module);
+    bindFeed(module);
+    module.def("end_of_interpreter", &endOfInterpreter);
+}
