@@ -151,27 +151,38 @@ void defineTypes(py::module_& module) {
     py::class_<ClockOfTest>(module, "ClockOfTest", "A clock of axon_entity.testing.");
 }
 
+/// The values of a parameter as it is now. The library's readers say so by an exception where the type
+/// differs.
+py::list valuesNow(const axon::Task& task, const std::string& name) {
+    const auto read = [](const auto& values) {
+        py::list list;
+        for (const auto& value : values) list.append(fromValue(axon::Value(value)));
+        return list;
+    };
+    try {
+        return read(task.texts(name));
+    } catch (const std::invalid_argument&) {
+    }
+    try {
+        return read(task.integers(name));
+    } catch (const std::invalid_argument&) {
+    }
+    try {
+        py::list list;
+        for (const bool value : task.flags(name)) list.append(py::bool_(value));
+        return list;
+    } catch (const std::invalid_argument&) {
+    }
+    return read(task.numbers(name));
+}
+
 void defineTask(py::module_& module) {
     using axon::Task;
     py::class_<Task>(module, "Task")
         .def_property_readonly("id", &Task::id)
         .def_property_readonly("service", &Task::service)
         .def("has", [](const Task& task, const std::string& name) { return task.has(name); })
-        .def("parameters",
-             [](const Task& task) {
-                 py::dict all;
-                 for (const auto& parameter : task.parameters()) {
-                     py::list values;
-                     for (const auto& value : parameter.values) values.append(fromValue(value));
-                     all[py::str(parameter.name)] = values;
-                 }
-                 return all;
-             })
-        .def("number", [](const Task& task, const std::string& name) { return task.number(name); })
-        .def("numbers", [](const Task& task, const std::string& name) { return task.numbers(name); })
-        .def("integers", [](const Task& task, const std::string& name) { return task.integers(name); })
-        .def("texts", [](const Task& task, const std::string& name) { return task.texts(name); })
-        .def("flags", [](const Task& task, const std::string& name) { return task.flags(name); })
+        .def("values", [](const Task& task, const std::string& name) { return valuesNow(task, name); })
         .def("units", [](const Task& task, const std::string& name) { return task.units(name); })
         .def("resource",
              [](const Task& task, const std::string& name) { return task.resource(name).string(); })
@@ -269,6 +280,7 @@ void defineInterfacer(py::module_& module) {
         .def("begin_shutdown", &Interfacer::beginShutdown, Others())
         .def("finish", &Interfacer::finish, Others())
         .def("take_log", &Interfacer::takeLog, Others())
+        .def_property_readonly("log_ended", &Interfacer::logEnded)
         .def_property_readonly("started", &Interfacer::started)
         .def_property_readonly("forked", &Interfacer::forked)
         .def_property_readonly("stops", &Interfacer::stops)

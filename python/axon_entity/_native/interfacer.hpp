@@ -19,15 +19,11 @@
 
 #include "python_stop.hpp"
 #include "stop_action.hpp"
+#include "values.hpp"
 
 namespace axon::python {
 
 namespace py = pybind11;
-
-/// A clock of a test, as axon_entity.testing hands it to the options of an Interfacer. Both modules know it.
-struct ClockOfTest {
-    std::shared_ptr<const Clock> clock;
-};
 
 /// A process that was forked from the one that has started an Interfacer has none of its threads.
 class ForkedError : public std::runtime_error {
@@ -37,10 +33,6 @@ class ForkedError : public std::runtime_error {
 
 /// Throws ForkedError in a process that was forked from one in which an Interfacer was started last.
 void checkProcessOfTasks();
-
-/// Converts a Python bool, int, float or str. Throws py::type_error with `what` in its text.
-Value toValue(const py::handle& object, const std::string& what);
-py::object fromValue(const Value& value);
 
 /// The EntityInterfacer of a Python program.
 ///
@@ -93,6 +85,7 @@ class Interfacer {
     std::uint64_t stops() const { return stops_; }
     /// The oldest lines of the log, after waiting at most this long for one. Empty also when finished.
     std::vector<std::pair<int, std::string>> takeLog(double seconds);
+    bool logEnded();
 
   private:
     void stop(const StopSignal& signal);
