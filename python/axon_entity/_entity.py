@@ -105,6 +105,14 @@ class Task:
         """Blocks while the task is paused. Returns False if it is cancelled."""
         return self._native.wait_while_paused()
 
+    def order(self, line: _native.WriteBytes, data: bytes) -> bool:
+        """Writes an order to the device of a ``native.write_bytes`` action, unless this task is to stop.
+
+        Returns False if nothing was written, because the task is cancelled. The action and its orders take turns, so
+        no order of this task can follow the bytes of a stop. Raises RuntimeError if the device does not take it.
+        """
+        return line.order(self._native, data)
+
     def progress(self, part: float) -> None:
         """Reports progress, 0 to 1."""
         self._native.progress(float(part))
@@ -260,8 +268,9 @@ class Entity:
         self._shutdown_lock = threading.Lock()
         self._logger = logger
         self._log_thread: Optional[threading.Thread] = None
+        self._application = self._name if application is None else application
         settings: dict[str, Any] = {
-            "application": self._name if application is None else application,
+            "application": self._application,
             "instance": instance,
             "first_port": ports[0],
             "last_port": ports[1],
@@ -505,6 +514,11 @@ class Entity:
         return self._name
 
     @property
+    def application(self) -> str:
+        """The name with which the Entity Manager is configured."""
+        return self._application
+
+    @property
     def linked(self) -> bool:
         """Whether an Entity Manager is linked."""
         return self._native.linked
@@ -539,6 +553,7 @@ class Entity:
     def start(self) -> Entity:
         """Starts to listen, and returns at once. ``with entity:`` starts it and shuts it down at the end."""
         if self._native.started:
+            _ = self._native.port  # raises in a forked process
             return self
         self._check_against_file()
         self._check_native_stop()

@@ -339,6 +339,12 @@ void defineStopActions(py::module_& module) {
         .def(py::init([](const std::string& path, const py::bytes& bytes, double within) {
             return std::make_shared<WriteBytes>(std::filesystem::path(path), bytes, Seconds(within));
         }))
+        .def("order",
+             [](WriteBytes& action, const axon::Task& task, const py::bytes& bytes) {
+                 const std::string order = bytes;
+                 const py::gil_scoped_release others;
+                 return action.order([&] { return task.stopRequested(); }, order);
+             })
         .def("watch", &WriteBytes::watch, Others())
         .def("release", &WriteBytes::release, Others());
     py::class_<RunCommand, StopAction, std::shared_ptr<RunCommand>>(module, "RunCommand")

@@ -176,7 +176,7 @@ void WriteBytes::act() {
             ::open(path_.c_str(), O_WRONLY | O_NOCTTY | O_CLOEXEC | O_NONBLOCK | (regular ? O_APPEND : 0));
         if (opened < 0) throw std::runtime_error("write_bytes: " + path_.string() + ": " + why(errno));
         try {
-            writeAll(opened);
+            writeAll(opened, bytes_);
         } catch (...) {
             ::close(opened);
             throw;
@@ -185,18 +185,30 @@ void WriteBytes::act() {
         return;
     }
     const std::lock_guard lock(mutex_);
-    if (descriptor_ >= 0) writeAll(descriptor_);
+    if (descriptor_ < 0) return;
+    if (::isatty(descriptor_) == 1)
+        ::tcflush(descriptor_, TCOFLUSH);  // orders that wait would come before it
+    writeAll(descriptor_, bytes_);
 }
 
-void WriteBytes::writeAll(int descriptor) const {
+bool WriteBytes::order(const std::function<bool()>& stopped, const std::string& bytes) {
+    const std::lock_guard lock(mutex_);
+    if (stopped()) return false;
+    if (descriptor_ < 0)
+        throw std::runtime_error(
+            "order: this action has no descriptor; fix: make it with one, or watch() one");
+    writeAll(descriptor_, bytes);
+    return true;
+}
+
+void WriteBytes::writeAll(int descriptor, const std::string& bytes) const {
     const auto until = Clock::now() + within_;
-    if (::isatty(descriptor) == 1) ::tcflush(descriptor, TCOFLUSH);  // orders that wait would come before it
     std::size_t written = 0;
-    while (written < bytes_.size()) {
+    while (written < bytes.size()) {
         pollfd ready{descriptor, POLLOUT, 0};
         ::poll(&ready, 1, milliseconds(until));
-        const auto* from = bytes_.data() + written;
-        const auto count = bytes_.size() - written;
+        const auto* from = bytes.data() + written;
+        const auto count = bytes.size() - written;
         ssize_t got = -1;
         if ((ready.revents & (POLLOUT | POLLERR | POLLHUP)) == 0) {
             errno = EAGAIN;
@@ -209,7 +221,7 @@ void WriteBytes::writeAll(int descriptor) const {
         } else if (errno == EAGAIN || errno == EINTR) {
             if (Clock::now() >= until)
                 throw std::runtime_error("write_bytes: the device took only " + std::to_string(written) +
-                                         " of " + std::to_string(bytes_.size()) + " bytes in time");
+                                         " of " + std::to_string(bytes.size()) + " bytes in time");
         } else {
             throw std::runtime_error("write_bytes: " + why(errno));
         }

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <mutex>
 #include <string>
 #include <vector>
@@ -73,10 +74,14 @@ class WriteBytes : public StopAction {
     void watch(int descriptor);
     /// Closes the duplicate; nothing is written from now on.
     void release();
+    /// Writes an order of a task, unless a stop of the task is requested; then returns false. No order
+    /// follows the bytes of a stop: `stopped` becomes true before the action is carried out, and both take
+    /// turns.
+    bool order(const std::function<bool()>& stopped, const std::string& bytes);
 
   private:
     void act() override;
-    void writeAll(int descriptor) const;
+    void writeAll(int descriptor, const std::string& bytes) const;
     const std::filesystem::path path_;
     const std::string bytes_;
     const std::chrono::nanoseconds within_;
