@@ -17,6 +17,7 @@ class DeviceThread:
         self._line = line
         self._lock = threading.Lock()  # held for assignments
         self._stopping = False
+        self._answers_at_rest = 0
         self._end = False
         self._thread = threading.Thread(target=self._serve)
         # [guard]
@@ -36,7 +37,7 @@ class DeviceThread:
     def stop(self) -> None:
         """After the native action, which has told the motor already."""
         with self._lock:
-            self._stopping = True
+            self._stopping, self._answers_at_rest = True, 0
 
     def _send(self, line: str) -> None:
         try:
@@ -63,7 +64,9 @@ class DeviceThread:
 
     def _stands(self, speed_deg_s: float) -> None:
         with self._lock:
-            stands = self._stopping and speed_deg_s == 0
+            self._answers_at_rest = self._answers_at_rest + 1 if speed_deg_s == 0 else 0
+            # The first ones may answer what was asked before the stop.
+            stands = self._stopping and self._answers_at_rest >= 5
             self._stopping = self._stopping and not stands
         if stands:
             self.on_standstill()
