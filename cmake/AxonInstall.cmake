@@ -4,6 +4,7 @@
 #   libaxon-client-dev                                         what the programmer of a client needs, tests included
 #   axon, axon-server, axon-entity-manager, axon-lab, axon-tools  programs
 #   axon-doc                                                  the documentation site
+#   python3-axon, python3-axon-entity                         the Python packages, for Debian's Python
 # cmake --install BUILD --prefix DIR [--component NAME]
 include(CMakePackageConfigHelpers)
 set(cmake_files "${CMAKE_INSTALL_LIBDIR}/cmake/Axon")
@@ -46,7 +47,7 @@ install(FILES "${CMAKE_CURRENT_LIST_DIR}/AxonTesting.cmake" DESTINATION "${cmake
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/api/schema" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT libaxon-entity-interfacer-dev
   FILES_MATCHING PATTERN "*.xsd" PATTERN samples EXCLUDE)
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/libaxon-entity-interfacer-dev/examples"
-  COMPONENT libaxon-entity-interfacer-dev PATTERN "examples/CMakeLists.txt" EXCLUDE)
+  COMPONENT libaxon-entity-interfacer-dev PATTERN "examples/CMakeLists.txt" EXCLUDE PATTERN "examples/python" EXCLUDE)
 
 if(AXON_ICE)
   # The client library is static (ADR 0034). What it consists of is installed with it, but is not for others to link.
@@ -133,9 +134,16 @@ add_custom_target(docs_site COMMAND "${PROJECT_SOURCE_DIR}/tools/make_docs" USES
 list(APPEND packages axon-doc)
 install(DIRECTORY "${PROJECT_SOURCE_DIR}/build/docs-site/" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/axon/html" COMPONENT axon-doc OPTIONAL)
 
+# The Python packages: python/CMakeLists.txt says what is in them. They lie where Debian's Python looks if the prefix is /usr.
+get_property(python_components GLOBAL PROPERTY axon_python_packages)
+if(python_components)
+  list(APPEND packages ${python_components})
+  add_dependencies(installed_programs python_packages)
+endif()
+
 foreach(package IN LISTS packages)
   set(licence GPL)
-  if(package MATCHES "entity-interfacer")
+  if(package MATCHES "entity-interfacer|python3-axon-entity")
     set(licence MIT)
   endif()
   install(FILES "${PROJECT_SOURCE_DIR}/deploy/debian/copyright.${licence}" DESTINATION "${CMAKE_INSTALL_DATADIR}/doc/${package}"

@@ -93,3 +93,9 @@ find_package(Axon COMPONENTS Client) of CMake, and a library to test programs
 without robots."
   DEPENDS "libaxon-entity-interfacer-dev ${same}" libgnutls28-dev libmicrohttpd-dev libprotobuf-dev libsodium-dev libspdlog-dev libxml2-dev libzeroc-ice-dev pkg-config
   SUGGESTS cmake)
+debian_package(python3-axon python DESCRIPTION "use the robots of an Axon laboratory from Python
+${about}
+This package has the Python package axon: check robots out, run tasks, watch
+streams as NumPy arrays, stop; with asyncio, too. With ipython3 it has the
+prompt that the command \"axon shell\" opens."
+  DEPENDS "python3 (>= 3.11)" "python3 (<< 3.12)" python3-numpy RECOMMENDS python3-matplotlib ipython3 SUGGESTS "axon ${same}" "axon-doc ${same}")

@@ -9,5 +9,7 @@ PYBIND11_MODULE(_native, module) {
         "means.";
     bindValues(module);
     bindFeed(module);
+    bindSamples(module);
+    bindClient(module);
     module.def("end_of_interpreter", &endOfInterpreter);
 }

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""The Python client with Axon's programs as they are: its examples, TLS, routers, a server that ends."""
+import os
+import pathlib
+import subprocess
+import sys
+import time
+
+import pytest
+
+import axon
+from axon import RefusalCode as Code
+from support import BIN, ROOT, TEST_BIN
+
+sys.path.insert(0, str(ROOT / "tests" / "tutorials"))
+import console  # noqa: E402
+from laboratory import Laboratory, addresses, wait_until  # noqa: E402
+
+EXAMPLES = ROOT / "examples"
+serial = iter(range(1000))
+
+
+@pytest.fixture
+def real():
+    """real(environment) is a laboratory of real processes."""
+    made = []
+
+    def make(environment="embedded", **more):
+        first = 5600 + (os.getpid() * 7 + next(serial) * 13) % 1900
+        lab = Laboratory(BIN, environment=environment, ports=f"{first}-{first + 9}", **more)
+        made.append(lab)
+        return lab
+    yield make
+    for lab in made:
+        lab.end()
+
+
+def start(lab, example, **programs):
+    """Entities of an example, with their Entity Managers."""
+    ports = lab.folder / "ports.cfg"
+    ports.write_text(f"Axon.Ports = {lab.ports}\n")
+    for application, words in programs.items():
+        lab.start(f"application-{application}", words[0], EXAMPLES / example, *[ports, *words[1:]])
+        lab.start(f"manager-{application}", "axon-entity-manager", "--application", application, "--ports-file", ports,
+                  *lab.manager_options([]))
+
+
+def environment_of(lab):
+    return dict(lab.env, PYTHONPATH=os.environ.get("PYTHONPATH", str(pathlib.Path(axon.__file__).parent.parent)))
+
+
+def check(lab, program, *words):
+    """Does it print what its README shows?"""
+    done = subprocess.run([sys.executable, EXAMPLES / "python" / program, *map(str, words)], env=environment_of(lab), timeout=90,
+                          stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    printed = done.stdout.splitlines()
+    for block in console.blocks((EXAMPLES / "python" / "README.md").read_text(encoding="utf-8")):
+        for step in console.steps(block) if block.language == "console" else ():
+            if step.typed and step.typed.split()[0] == f"./{program}":
+                assert console.agrees(step.expected, printed), console.difference(step.expected, printed)
+                assert done.returncode == 0
+                return
+    raise AssertionError(f"examples/python/README.md does not show {program}")
+
+
+def test_the_example_greets(real):
+    lab = real()
+    lab.start_server()
+    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    check(lab, "greet.py")
+
+
+def test_the_example_draws(real):
+    lab = real()
+    lab.start_server()
+    start(lab, "03_parameters", Plotter=["plotter-entity"])
+    check(lab, "draw.py", EXAMPLES / "03_parameters")
+
+
+def test_the_example_stops(real):
+    lab = real()
+    lab.start_server()
+    start(lab, "04_stop", Cart=["cart-entity"])
+    check(lab, "stop.py")
+
+
+def test_the_example_delivers(real):
+    lab = real()
+    (lab.services_folder / "delivery.xml").write_bytes((EXAMPLES / "05_collaboration/globalservices/delivery.xml").read_bytes())
+    lab.start_server()
+    start(lab, "05_collaboration", Shuttle=["shuttle-entity", "--speed", "20"], Arm=["arm-entity", "--speed", "20"],
+          Planner=["planner-entity", "--speed", "20"])
+    check(lab, "deliver.py")
+    with axon.connect(lab.at["client"]) as client:
+        history = client.run_history(most=1)
+        assert history.runs[0].service.name == "Delivery" and history.runs[0].state == axon.RunState.SUCCEEDED
+        assert {one.name for one in history.runs[0].participants} == {"Shuttle", "Arm", "Planner"}
+        heavy = client.global_service("Heavy delivery")
+        proposal = client.propose(heavy)
+        with client.checkout_all([role.entity for role in proposal.roles]):
+            run = client.run_global(heavy, proposal)
+            wait_until(lambda: run.report.state == axon.RunState.HELD, "held")
+            assert any(step.state == axon.TaskState.FAILED for step in run.report.steps)
+            run.cancel()
+            with pytest.raises(axon.Refused) as error:
+                run.result(20)
+            assert error.value.report.state == axon.RunState.CANCELLED
+            assert any(began is not None for _, _, began, _ in run.timeline())
+            check_run = client.check_global(heavy, {0: "Shuttle", 1: "Arm", 2: "Arm"})
+            with pytest.raises(axon.Refused):
+                check_run.result(20)
+        with pytest.raises(axon.Refused) as error:
+            client.global_service("No such")
+        assert "it offers: Delivery" in error.value.message
+
+
+def tour(server=None, **options):
+    """Check-out, task, stream, stop, rearm and release, of the entity Greeter."""
+    with axon.connect(server, **options) as client:
+        client.wait_for("Greeter", 15)
+        with client.checkout("Greeter") as robot:
+            assert robot.run("Greet", Name="Ada", Times=1).report.state == axon.TaskState.SUCCEEDED
+            task = robot.start("Wait", Seconds=60)
+            wait_until(lambda: task.report.state == axon.TaskState.RUNNING, "running")
+            receipt = robot.stop()
+            assert receipt.confirmed
+            assert task.wait(5).state == axon.TaskState.STOPPED
+            robot.rearm()
+            return robot.direct
+
+
+def test_over_tls_with_a_certificate_and_without(real):
+    lab = real(application="Greeter")
+    for what in (["init"], ["issue", "--server", "localhost"], ["issue", "--entity", "Greeter"], ["issue", "--client", "client1"]):
+        status, lines, errors = lab.axon("certs", *what, "--folder", str(lab.folder / "certs"))
+        assert status == 0, (lines, errors)
+
+    def configuration(name, *more):
+        file = lab.folder / f"{name}.cfg"
+        file.write_text("\n".join([(lab.folder / "certs" / f"{name}.cfg").read_text(), *more, ""]))
+        file.chmod(0o600)
+        return file
+    server = lab.start("server", "axon-server", "--config", configuration("server-localhost", *[
+        f"{key}.Endpoints=ssl -h 127.0.0.1 -p 0" for key in ("FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")]))
+    at = {name: address.replace("127.0.0.1", "localhost") for name, address in addresses(server.wait_for("ready ")).items()}
+    ports = lab.folder / "ports.cfg"
+    ports.write_text(f"Axon.Ports = {lab.ports}\n")
+    lab.start("hello", "hello-entity", EXAMPLES / "01_hello_entity", ports)
+    lab.start("em", "axon-entity-manager", "--config", configuration("entity-Greeter", "Axon.Application=Greeter", f"Axon.Ports={lab.ports}",
+                                                                     f"Axon.Server={at['entity']}"))
+    mine = configuration("client-client1", f"Axon.Server={at['client']}")
+    tour(config=mine)
+    with pytest.raises(axon.Refused) as error:
+        axon.connect(at["client"].replace("ssl://", ""))
+    assert error.value.code in (Code.UNAVAILABLE, Code.PERMISSION_DENIED), error.value
+
+
+def test_through_the_routers_of_a_cluster(real):
+    lab = real("cluster")
+    lab.start_server()
+    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    assert not tour(config=lab.env["AXON_CONFIG"])
+
+
+def test_directly_to_the_entity_manager_and_not(real):
+    lab = real()
+    lab.start_server()
+    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    assert tour(lab.at["client"])
+    assert not tour(lab.at["client"], direct=False)
+
+
+def test_a_lost_server_is_told_and_the_client_comes_back(real):
+    lab = real()
+    server = lab.start_server()
+    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    with axon.connect(lab.at["client"], resume=False) as client:
+        client.wait_for("Greeter", 15)
+        robot = client.checkout("Greeter")
+        task = robot.start("Wait", Seconds=60)
+        wait_until(lambda: task.report.state == axon.TaskState.RUNNING, "running")
+        told = []
+        client.on_connection(lambda connected, reason: told.append((connected, reason)))
+        events = client.events(timeout=15)
+        at = dict(lab.at)
+        server.kill()
+        wait_until(lambda: (False, told[0][1]) in told if told else False, "told")
+        assert not client.connected and told[0][1]
+        assert any(event.kind == "lost" for event in events)
+        with pytest.raises(axon.Refused) as error:
+            task.result(5)
+        assert error.value.code == Code.OUTCOME_UNKNOWN
+        with pytest.raises(axon.Refused) as error:
+            client.stop()
+        assert error.value.code == Code.NOT_CONNECTED
+        lab.start_server(at)
+        wait_until(lambda: client.connected, "connected again", 20)
+        wait_until(lambda: any(connected for connected, _ in told), "told of it")
+        client.wait_for("Greeter", 20)
+        wait_until(lambda: not client.find("Greeter").holder.id, "free")
+        with client.checkout("Greeter") as again:
+            if again.entity.latched:
+                again.rearm()
+            again.run("Greet", Name="again", Times=1)
+
+
+def test_the_command_starts_the_shell(real):
+    lab = real()
+    lab.start_server()
+    done = subprocess.run([BIN / "axon", "shell"], env=dict(lab.env, IPYTHONDIR=str(lab.folder)), input="print(len(entities()))\n",
+                          capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and lab.at["client"] in done.stdout and "0" in done.stdout, done.stdout + done.stderr
+
+
+def test_pictures_arrive_at_thirty_hertz(real):
+    """640 × 480 × 3 bytes: nothing is dropped in two seconds, and each is an array that looks into the sample."""
+    lab = real()
+    lab.start_server()
+    ports = lab.folder / "ports.cfg"
+    ports.write_text(f"Axon.Ports = {lab.ports}\n")
+    lab.start("camera", TEST_BIN / "camera-entity", EXAMPLES.parent / "python/tests/camera", ports)
+    lab.start("em", "axon-entity-manager", "--application", "Camera", "--ports-file", ports, *lab.manager_options([]))
+    with axon.connect(lab.at["client"]) as client:
+        client.wait_for("Camera", 15)
+        with client.stream("Camera", "eye").watch() as eye:
+            first = eye.take(1)[0]
+            begin = time.monotonic()
+            samples = eye.take(60)
+            took = time.monotonic() - begin
+        pictures = [sample.data for sample in samples]
+        assert all(picture.shape == (480, 640, 3) and not picture.flags.owndata for picture in pictures)
+        assert [sample.sequence for sample in samples] == list(range(first.sequence + 1, first.sequence + 61))
+        assert all(picture[0, 0, 0] == sample.sequence % 256 for picture, sample in zip(pictures, samples))
+        assert 1.8 < took < 4, f"{took:g} s for 60 pictures"
