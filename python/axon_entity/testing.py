@@ -16,8 +16,12 @@ import os
 from types import TracebackType
 from typing import Any, Optional, Union
 
-from . import _testing
 from ._entity import Entity
+
+try:
+    from . import _testing
+except ImportError as error:
+    raise ImportError(f"axon_entity.testing: {error}; fix: install libaxon-entity-interfacer-dev, which has its library") from None
 from ._native import StopCause
 from ._testing import Answer, Ending, Failure, LinkEnding, ManualClock, Registration, ScriptedTask, StopDone, StreamSample
 
