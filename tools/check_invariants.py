@@ -16,7 +16,7 @@ CODE = (".cpp", ".hpp", ".h", ".c")
 SPDX_FILES = CODE + (".proto", ".ice", ".py", ".cmake", ".sh", ".ts", ".mjs")
 SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__", "LICENSES", "dist", "dist-test", "gen"}
 ROOTS = ("api", "bench", "cmake", "console", "examples", "faults", "lab", "python", "robots", "simulation", "src", "tests", "tools", "web", ".ci")
-MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entity_interfacer/*", "src/cli/init/*", "src/testing/entity/*", "cmake/AxonTesting.cmake", "examples/*")
+MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entity_interfacer/*", "src/cli/init/*", "src/testing/entity/*", "cmake/AxonTesting.cmake", "examples/*", "python/axon_entity/*")
 
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")
 EI_PUBLIC = ("src/entity_interfacer/axon/*.hpp",)

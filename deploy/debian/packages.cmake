@@ -93,6 +93,12 @@ find_package(Axon COMPONENTS Client) of CMake, and a library to test programs
 without robots."
   DEPENDS "libaxon-entity-interfacer-dev ${same}" libgnutls28-dev libmicrohttpd-dev libprotobuf-dev libsodium-dev libspdlog-dev libxml2-dev libzeroc-ice-dev pkg-config
   SUGGESTS cmake)
+debian_package(python3-axon-entity python DESCRIPTION "bring a robot into an Axon laboratory from Python
+${about}
+This package has the Python package axon_entity, for robot applications in
+Python. Its native stop actions work while the interpreter is blocked."
+  DEPENDS "libaxon-entity-interfacer${CPACK_AXON_SOVERSION} ${same}" "python3 (>= 3.11)" "python3 (<< 3.12)"
+  RECOMMENDS "libaxon-entity-interfacer-dev ${same}" python3-numpy SUGGESTS "axon-server ${same}" "axon-entity-manager ${same}")
 debian_package(python3-axon python DESCRIPTION "use the robots of an Axon laboratory from Python
 ${about}
 This package has the Python package axon: check robots out, run tasks, watch

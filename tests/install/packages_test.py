@@ -43,7 +43,7 @@ SITE = ROOT / "build" / "docs-site"
 PAGES = "./usr/share/doc/axon/html/"
 NOT_LISTED = (PAGES, "./usr/share/axon/console/")  # pages, whose names change with their content
 PACKAGES = ("axon", "axon-doc", "axon-entity-manager", "axon-lab", "axon-server", "axon-tools", "libaxon-client-dev", "libaxon-entity-interfacer-dev",
-            "libaxon-entity-interfacer0", "python3-axon")
+            "libaxon-entity-interfacer0", "python3-axon", "python3-axon-entity")
 
 
 def setUpModule():  # noqa: N802

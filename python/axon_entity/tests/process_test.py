@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: MIT
+"""What needs a process of its own: signals, the end of the interpreter, forks, and a blocked interpreter."""
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from axon_entity.testing import ScriptedManager
+
+BEGIN = """
+    import ctypes, os, signal, sys, threading, time, warnings
+    import axon_entity
+    from axon_entity import native
+    pause = time.sleep
+    DEVICE = int(sys.argv[1])
+    entity = axon_entity.Entity("Process", category="MACHINE", ports=(int(sys.argv[2]), int(sys.argv[3])))
+    block = ctypes.PyDLL(None)  # its calls keep the interpreter lock
+
+    def say(text):
+        os.write(DEVICE, text.encode() + b"\\n")
+"""
+
+
+class Robot:
+    """A Python robot in a process of its own, and its device."""
+
+    def __init__(self, ports, text):
+        self.device, theirs = socket.socketpair()
+        program = textwrap.dedent(BEGIN) + textwrap.dedent(text)
+        self.child = subprocess.Popen([sys.executable, "-c", program, str(theirs.fileno()), str(ports[0]), str(ports[1])],
+                                      pass_fds=[theirs.fileno()], stderr=subprocess.PIPE, text=True)
+        theirs.close()
+        self.manager = None
+
+    def link(self, ports, **options):
+        self.manager = ScriptedManager("Process", ports=ports, **options)
+        deadline = time.monotonic() + 20
+        while True:
+            try:
+                self.manager.connect()
+                return self.manager
+            except AssertionError:
+                assert self.child.poll() is None and time.monotonic() < deadline, self.child.stderr.read()
+
+    def line(self, seconds=20.0):
+        """The next line that the device got; "" at the end of the connection."""
+        got = b""
+        deadline = time.monotonic() + seconds
+        while not got.endswith(b"\n"):
+            left = deadline - time.monotonic()
+            assert left > 0 and select.select([self.device], [], [], left)[0], f"the device got only {got!r}"
+            byte = self.device.recv(1)
+            if not byte:
+                break
+            got += byte
+        return got.decode().strip()
+
+    def end(self):
+        """Exit status and standard error."""
+        errors = self.child.communicate(timeout=60)[1]
+        return self.child.returncode, errors
+
+    def tidy(self):
+        if self.child.poll() is None:
+            self.child.kill()
+            self.child.communicate()
+        self.device.close()
+
+
+@pytest.fixture
+def start(ports):
+    robots = []
+
+    def make(text):
+        robots.append(Robot(ports, text))
+        return robots[-1]
+
+    yield make
+    for robot in robots:
+        robot.tidy()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_run_after_a_stop_and_the_program_goes_on(start, number):
+    robot = start("""
+        entity.on_stop(lambda signal: say("stop " + signal.cause.name))
+        @entity.service("Go")
+        def go(task):
+            task.wait(3600)
+        entity.start()
+        say("started")
+        entity.run()
+        say("after run")
+    """)
+    assert robot.line() == "started"
+    deadline = time.monotonic() + 20
+    while True:  # from run() on, and not before, the signal is the entity's
+        robot.child.send_signal(number) if _in_run(robot) else None
+        if select.select([robot.device], [], [], 0.1)[0]:
+            break
+        assert time.monotonic() < deadline
+    assert robot.line() == "stop SHUTDOWN"
+    assert robot.line() == "after run"
+    status, errors = robot.end()
+    assert (status, errors.count("Traceback")) == (0, 0), errors
+
+
+def _in_run(robot):
+    """Whether the process catches SIGTERM: Python does not, run() does."""
+    for line in open(f"/proc/{robot.child.pid}/status"):
+        if line.startswith("SigCgt:"):
+            return bool(int(line.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+    return False
+
+
+def test_a_stop_reaches_the_device_of_a_blocked_interpreter(start, ports):
+    robot = start("""
+        entity.on_stop(native.write_bytes(DEVICE, b"STOP\\n"))
+        @entity.service("Block")
+        def go():
+            say("blocked")
+            block.usleep(3000000)
+            say("free")
+        entity.run()
+    """)
+    manager = robot.link(ports)
+    manager.run("Block").expect_granted()
+    assert robot.line() == "blocked"
+    began = time.monotonic()
+    manager.stop()
+    took = time.monotonic() - began
+    assert robot.line() == "STOP"
+    assert took < 1, "and it is confirmed while the interpreter is blocked"
+    assert robot.line() == "free"
+
+
+def test_the_watchdog_stops_the_device_of_a_blocked_interpreter(start, ports):
+    robot = start("""
+        entity.on_stop(native.write_bytes(DEVICE, b"STOP\\n"))
+        @entity.service("Block")
+        def go():
+            say("blocked")
+            block.usleep(3000000)
+            say("free")
+        entity.run()
+    """)
+    manager = robot.link(ports, watchdog=0.25)
+    manager.run("Block").expect_granted()
+    assert robot.line() == "blocked"
+    manager.silence()
+    assert robot.line() == "STOP"
+    assert robot.line() == "free"
+
+
+def test_a_signal_stops_the_device_of_a_blocked_interpreter(start, ports):
+    robot = start("""
+        entity.on_stop(native.write_bytes(DEVICE, b"STOP\\n"))
+        @entity.service("Block")
+        def go():
+            say("blocked")
+            block.usleep(3000000)
+            say("free")
+        entity.run()
+    """)
+    robot.link(ports).run("Block").expect_granted()
+    assert robot.line() == "blocked"
+    robot.child.send_signal(signal.SIGTERM)
+    assert robot.line() == "STOP"
+    assert robot.line() == "free"
+    assert robot.end()[0] == 0
+
+
+def test_a_python_function_that_cannot_run_is_a_failed_stop_and_the_native_action_is_not(start, ports):
+    robot = start("""
+        entity.on_stop(native.write_bytes(DEVICE, b"STOP\\n"), within=0.1)
+        entity.on_stop(lambda signal: say("function"))
+        @entity.service("Block")
+        def go():
+            say("blocked")
+            block.usleep(2000000)
+            say("free")
+        entity.run()
+    """)
+    manager = robot.link(ports)
+    manager.run("Block").expect_granted()
+    assert robot.line() == "blocked"
+    with pytest.raises(AssertionError, match="has not returned within 100 ms"):
+        manager.stop()
+    lines = [robot.line()]
+    while lines[-1] != "function":
+        lines.append(robot.line())
+    assert lines[0] == "STOP"
+    assert lines.index("free") < len(lines)
+
+
+def test_an_endless_loop_in_python_delays_no_stop_and_is_interrupted_by_a_shutdown(start, ports):
+    robot = start("""
+        entity.on_stop(native.write_bytes(DEVICE, b"STOP\\n"))
+        @entity.service("Loop")
+        def go():
+            say("loops")
+            while True:
+                pass
+        entity.run()
+    """)
+    manager = robot.link(ports)
+    manager.run("Loop").expect_granted()
+    assert robot.line() == "loops"
+    manager.stop()
+    assert robot.line() == "STOP"
+    robot.child.send_signal(signal.SIGINT)
+    status, errors = robot.end()
+    assert status == 0, errors
+    assert "is interrupted; fix: return when task.cancelled is true" in errors
+
+
+def test_the_end_of_the_program_is_a_shutdown(start, ports):
+    robot = start("""
+        entity.on_stop(lambda signal: say("stop " + signal.cause.name))
+        entity.service("Go")(lambda task: task.wait(3600) and None)
+        entity.start()
+        say("started")
+        while not entity.linked:
+            pause(0.01)
+        pause(0.1)
+    """)
+    robot.line()
+    robot.link(ports)
+    assert robot.line() == "stop SHUTDOWN"
+    status, errors = robot.end()
+    assert (status, "Traceback" in errors) == (0, False), errors
+
+
+def test_a_handler_that_nothing_ends_does_not_keep_the_program_alive_for_ever(start, ports):
+    robot = start("""
+        from axon_entity import _entity
+        _entity.FORCE_EXIT_AFTER_S = 1.0
+        @entity.service("Block")
+        def go():
+            say("blocked")
+            ctypes.CDLL(None).pause()
+        entity.start()
+        while not entity.linked:
+            pause(0.01)
+        signal.sigwait({signal.SIGUSR1})
+    """.replace("entity.start()", "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})\n        entity.start()"))
+    robot.link(ports).run("Block").expect_granted()
+    assert robot.line() == "blocked"
+    robot.child.send_signal(signal.SIGUSR1)
+    status, errors = robot.end()
+    assert status == 1
+    assert "the program is ended (status 1)" in errors
+
+
+def test_a_fork_is_warned_of_and_the_copy_is_refused(start):
+    robot = start("""
+        entity.service("Go")(lambda: None)
+        entity.start()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            child = os.fork()
+        if child == 0:
+            for use in (lambda: entity.info("x"), lambda: entity.port, entity.start, entity.shutdown, lambda: entity.stream("s")):
+                try:
+                    use()
+                    say("not refused")
+                except axon_entity.ForkedError as error:
+                    assert "multiprocessing.get_context('spawn')" in str(error)
+            say("refused")
+            sys.exit(0)  # with its atexit functions
+        say("status %d" % os.waitpid(child, 0)[1])
+        say("warned: %s" % ("spawn" in str(caught[0].message)))
+    """)
+    assert robot.line() == "refused"
+    assert robot.line() == "status 0"
+    assert robot.line() == "warned: True"
+    status, errors = robot.end()
+    assert (status, "Traceback" in errors) == (0, False), errors
+
+
+def test_a_handler_of_another_signal_runs_while_run_waits(start):
+    robot = start("""
+        signal.signal(signal.SIGUSR1, lambda number, frame: (say("heard"), entity.quit()))
+        entity.start()
+        say("started")
+        entity.run()
+        say("ended")
+    """)
+    assert robot.line() == "started"
+    robot.child.send_signal(signal.SIGUSR1)
+    assert robot.line() == "heard"
+    assert robot.line() == "ended"
+    assert robot.end()[0] == 0
+
+
+def test_a_guard_stops_the_device_of_a_killed_program(start):
+    robot = start("""
+        guard = axon_entity.DeviceGuard("device", stop=b"GUARD\\n")
+        assert guard.watch(DEVICE)
+        assert guard.beat()
+        say("guarded")
+        while True:
+            guard.beat()
+            pause(0.01)
+    """)
+    assert robot.line() == "guarded"
+    robot.child.kill()
+    assert robot.line() == "GUARD"
