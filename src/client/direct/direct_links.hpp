@@ -20,11 +20,13 @@
 
 namespace axon::client {
 
+class DataLane;
+
 /// Of all paths together: more than what users may have waiting, and less than what may wait for the server.
 inline constexpr direct::KeptBounds kKeptBounds{12288, kWaitingBytesMax + kWaitingBytesMax / 2};
 
-/// The direct path of one lease, as its sender sees it. `out` and `by` are guarded by the owner's lock of
-/// sending.
+/// The direct path of one lease, as its sender sees it. `out`, `by` and `servers` are guarded by the owner's
+/// lock of sending.
 struct DirectLink {
     struct Sent {
         Header head;
@@ -34,7 +36,8 @@ struct DirectLink {
     /// as what the servers had under way is.
     std::atomic<bool> forget{false};
     direct::OutgoingWay<Sent> out{kKeptBounds};
-    std::shared_ptr<DirectPath> by;  // while out.direct()
+    std::shared_ptr<DirectPath> by;           // while out.direct()
+    std::shared_ptr<const DataLane> servers;  // the same: where what the path leaves goes
 };
 
 /// The direct paths of a client's session: opens them where a lease offers one, tries again, watches them,

@@ -2,7 +2,9 @@
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 
+#include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "client/direct/direct_links.hpp"
@@ -18,6 +20,22 @@ using namespace std::chrono_literals;
 using direct::Keeping;
 using test::NotedPath;
 
+/// The servers, which note the numbers of what they are given; 0 for a mark.
+struct NotedServers final : DataLane {
+    explicit NotedServers(std::vector<std::int64_t>& numbers) : sent(numbers) {}
+    void send(Operation, const Header& head, std::string) const override {
+        sent.push_back(head.msg_type == kMsgWay ? 0 : head.sequence);
+    }
+    void add(Operation kind, const Header& head, std::string bytes) const override {
+        send(kind, head, std::move(bytes));
+    }
+    void write() const override {}
+    std::size_t waiting() const override { return 0; }
+    std::size_t waitingBytes() const override { return 0; }
+    void awaitRoom(Duration) const override {}
+    std::vector<std::int64_t>& sent;
+};
+
 struct DirectLinksTest : testing::Test {
     DirectLinksTest() { links.offer(offer); }
     /// One turn, and the path that it wants opened.
@@ -27,7 +45,7 @@ struct DirectLinksTest : testing::Test {
             Header head;
             head.entity = path->entity();
             head.msg_type = kMsgWay;
-            Outgoing mark{Operation::ToEntity, head, "", link, path};
+            Outgoing mark{Operation::ToEntity, head, "", link, servers, path};
             EXPECT_TRUE(sending.takes(mark));
         }
         for (const auto& [path, why] : last.close) path->close(why);
@@ -44,7 +62,7 @@ struct DirectLinksTest : testing::Test {
         head.entity = "robot";
         head.msg_type = type;
         head.sequence = sequence;
-        Outgoing message{kind, head, "x", links.linkOf("robot")};
+        Outgoing message{kind, head, "x", links.linkOf("robot"), servers};
         if (sending.takes(message)) return true;
         by_servers.push_back(sequence);
         return false;
@@ -79,11 +97,9 @@ struct DirectLinksTest : testing::Test {
                           return std::make_shared<NotedPath>(its, Id128::random(random), clock);
                       }};
     std::vector<std::int64_t> by_servers, heard;
+    const std::shared_ptr<const DataLane> servers = std::make_shared<NotedServers>(by_servers);
     int lively = 0;
-    DirectSending sending{[this](Operation, const Header& head, const std::string&) {
-                              by_servers.push_back(head.msg_type == kMsgWay ? 0 : head.sequence);
-                          },
-                          [this] { ++lively; }};
+    DirectSending sending{[this] { ++lively; }};
     DirectLinks::Turn last;
 };
 

@@ -22,10 +22,11 @@ bool DirectSending::sendDirect(Outgoing& message) {
     auto& link = *message.link;
     if (message.path) {
         if (message.path->ended() || link.forget) return true;
-        relay_(message.kind, message.head, std::move(message.bytes));
         link.by = message.path;
+        link.servers = message.servers;
         link.out.begin();
         by_path_[message.head.entity] = message.link;
+        message.sendByServers();
         return true;
     }
     // The end of the lease is the end of the path, and nothing of the next one may overtake it by the
@@ -90,9 +91,11 @@ void DirectSending::fallBack(std::shared_ptr<DirectLink> link) {
     std::erase_if(by_path_, [&](const auto& one) { return one.second == link; });
     link->out.acknowledged(link->by->acknowledged.load(std::memory_order_relaxed));
     link->by = nullptr;
+    const auto servers = std::exchange(link->servers, nullptr);
     const auto left = link->out.end();
-    if (link->forget) return;
-    for (const auto& kept : left) relay_(Operation::ToEntity, kept.message.head, *kept.message.message);
+    if (link->forget || !servers) return;
+    for (const auto& kept : left)
+        servers->send(Operation::ToEntity, kept.message.head, *kept.message.message);
 }
 
 void DirectSending::fallBackFromEnded() {

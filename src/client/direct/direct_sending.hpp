@@ -6,6 +6,7 @@
 #include <string>
 #include <unordered_map>
 
+#include "client/base/lanes.hpp"
 #include "client/base/server_link.hpp"
 #include "client/direct/direct_links.hpp"
 
@@ -16,8 +17,15 @@ struct Outgoing {
     Operation kind;
     Header head;
     std::string bytes;
-    std::shared_ptr<DirectLink> link;       ///< of the entity, where it offers one (DirectLinks::linkOf)
+    std::shared_ptr<DirectLink> link;  ///< of the entity, where it offers one (DirectLinks::linkOf)
+    /// Of the session in which it was put, null if there was none: it goes by no other one, since what was
+    /// put before it may be lost with its session.
+    std::shared_ptr<const DataLane> servers;
     std::shared_ptr<DirectPath> path = {};  ///< of a mark: taken when it has been sent
+
+    void sendByServers() {
+        if (servers) servers->send(kind, head, std::move(bytes));
+    }
 };
 
 /// Which way each message of a client takes: through the servers, or over the direct path of its entity (ADR
@@ -25,16 +33,13 @@ struct Outgoing {
 ///
 /// Where in the flow: between SessionCore and the connections; DirectLinks says which paths there are.
 /// Messages come in the order of sending. What a path has not acknowledged when it is over goes by the
-/// servers before anything else of that entity. Threads: none of its own, not thread-safe; its owner confines
-/// it, as `out` and `by` of the links. Failure: a path that breaks is noticed by the next message for its
-/// entity, and by fallBackFromEnded(). Bound: kKeptBounds.
+/// servers of its session before anything else of that entity. Threads: none of its own, not thread-safe; its
+/// owner confines it, as `out` and `by` of the links. Failure: a path that breaks is noticed by the next
+/// message for its entity, and by fallBackFromEnded(). Bound: kKeptBounds.
 class DirectSending {
   public:
-    /// To the servers; dropped there when there is no session.
-    using Relay = std::function<void(Operation kind, const Header& head, std::string bytes)>;
     /// `lively`: a path was idle and is not: let it beat at once.
-    DirectSending(Relay relay, std::function<void()> lively)
-        : relay_(std::move(relay)), lively_(std::move(lively)) {}
+    explicit DirectSending(std::function<void()> lively) : lively_(std::move(lively)) {}
 
     /// Whether a path is concerned: where not, takes() is false and does nothing.
     bool concerns(const Outgoing& message) const { return byPath(message) || leftBefore(message); }
@@ -53,7 +58,6 @@ class DirectSending {
     void makeRoomToKeep(DirectLink& link, std::size_t bytes);
     void fallBack(std::shared_ptr<DirectLink> link);
 
-    const Relay relay_;
     const std::function<void()> lively_;
     std::unordered_map<std::string, std::shared_ptr<DirectLink>>
         by_path_;  // by entity, links whose messages go by a path

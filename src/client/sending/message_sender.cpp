@@ -12,8 +12,8 @@ class Burst {
     ~Burst() { end(); }
     bool open() const { return lane_ != nullptr; }
     bool goesTo(const DataLane* lane) const { return lane_.get() == lane; }
-    void add(std::shared_ptr<const DataLane> lane, Outgoing& message) {
-        lane_ = std::move(lane);
+    void add(Outgoing& message) {
+        lane_ = message.servers;
         lane_->add(message.kind, message.head, std::move(message.bytes));
     }
     void end() {
@@ -32,18 +32,11 @@ bool isSignal(Operation kind) {
 
 MessageSender::MessageSender(const Clock& clock, const DirectLinks& links, std::function<void()> wake,
                              std::function<void()> lively)
-    : clock_(clock),
-      links_(links),
-      wake_(std::move(wake)),
-      direct_(
-          [this](Operation kind, const Header& head, std::string bytes) {
-              if (const auto lane = lane_.load()) lane->send(kind, head, std::move(bytes));
-          },
-          std::move(lively)) {}
+    : clock_(clock), links_(links), wake_(std::move(wake)), direct_(std::move(lively)) {}
 
 void MessageSender::put(Operation kind, const Header& head, std::string bytes) {
     put_bytes_ = bytes.size() + kMessageOverhead;
-    put_ = queue_.put({kind, head, std::move(bytes), links_.linkOf(head.entity)}, put_bytes_);
+    put_ = queue_.put({kind, head, std::move(bytes), links_.linkOf(head.entity), lane_.load()}, put_bytes_);
     if (isSignal(kind)) breakBurst();  // signals are left to nobody
 }
 
@@ -70,7 +63,8 @@ void MessageSender::sendClear(const Header& head) {
 void MessageSender::sendMark(const Header& head, std::string bytes, std::shared_ptr<DirectLink> link,
                              std::shared_ptr<DirectPath> path) {
     const auto size = bytes.size() + kMessageOverhead;
-    put_ = queue_.put({Operation::ToEntity, head, std::move(bytes), std::move(link), std::move(path)}, size);
+    put_ = queue_.put(
+        {Operation::ToEntity, head, std::move(bytes), std::move(link), lane_.load(), std::move(path)}, size);
 }
 
 MessageSender::Leaving MessageSender::collect(bool here) {
@@ -111,13 +105,12 @@ void MessageSender::send(std::uint64_t ticket) {
         if (direct_.concerns(message))
             burst.end();  // what may go by the servers now comes behind what was added
         if (!direct_.takes(message)) {
-            auto lane = lane_.load();
             const bool joins = item->bytes <= kTogetherBytes && !isSignal(message.kind);
-            if (!joins || !burst.goesTo(lane.get())) burst.end();
-            if (lane && joins && (burst.open() || next)) {
-                burst.add(std::move(lane), message);
-            } else if (lane) {
-                lane->send(message.kind, message.head, std::move(message.bytes));
+            if (!joins || !burst.goesTo(message.servers.get())) burst.end();
+            if (message.servers && joins && (burst.open() || next)) {
+                burst.add(message);
+            } else {
+                message.sendByServers();
             }
         }
         queue_.sent(item->bytes);

@@ -88,7 +88,8 @@ class MessageSender final : public ServerLink {
     void sendAll();
     /// All that has been put, without looking for ended paths.
     void flush() { send(queue_.last()); }
-    /// The session whose data lane is used from now on; null: none.
+    /// The session whose data lane takes what is put from now on; null: none. What was put before does not go
+    /// by it.
     void connect(std::shared_ptr<const DataLane> lane) { lane_.store(std::move(lane)); }
 
     /// OVERLOADED while the server does not read, TOO_LARGE for what no message holds. Binding under the

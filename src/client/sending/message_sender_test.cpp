@@ -193,15 +193,16 @@ TEST_F(MessageSenderTest, WhatHasNotBeenSentWhenTheSessionIsLostIsForgotten) {
     EXPECT_TRUE(sender.admit(0).ok());
 }
 
-TEST_F(MessageSenderTest, ABurstThatMeetsANewSessionStaysInOrder) {
+TEST_F(MessageSenderTest, WhatWasPutInALostSessionGoesByNoOtherOne) {
     const auto before = lane;
     put("A");
     put("B");
     lane = std::make_shared<NotedLane>();
     sender.connect(lane);
+    put("C");
     sender.depart(sender.collect(true));
-    EXPECT_TRUE(before->sent.empty());
-    EXPECT_EQ(lane->sent, Sent{"A+B"});
+    EXPECT_EQ(before->sent, Sent{"A+B"}) << "where it is dropped";
+    EXPECT_EQ(lane->sent, Sent{"C"});
 }
 
 TEST_F(MessageSenderTest, WhatWaitsInTheLaneAndInTheQueueIsAdmittedNoFurther) {
@@ -261,6 +262,17 @@ TEST_F(MessageSenderByPathTest, ItFallsBackWithoutANextMessageWhenTheSendingThre
     path->close("the cable is out");
     sender.sendAll();
     EXPECT_EQ(lane->sent, Sent{kMsgText});
+}
+
+TEST_F(MessageSenderByPathTest, WhatFallsBackGoesByTheSessionInWhichThePathWasOpened) {
+    use(kMsgText);
+    const auto before = lane;
+    lane = std::make_shared<NotedLane>();
+    sender.connect(lane);
+    path->close("the cable is out");
+    sender.sendAll();
+    EXPECT_EQ(before->sent, Sent{kMsgText}) << "where it is dropped";
+    EXPECT_TRUE(lane->sent.empty());
 }
 
 TEST_F(MessageSenderByPathTest, ABurstIsWrittenBeforeWhatFallsBack) {
