@@ -81,23 +81,19 @@ try {
 
     const second = await house.person({ name: "client2", width: 1440, height: 900 });
     second.setDefaultTimeout(60_000);
-    await openEntity(second, "Cyton");
-    await checkOut(second, "Cyton");
     await goTo(second, hash);
     await second.getByRole("button", { name: "Wait in line" }).click();
     await wait(second, "You are number 1 in line.");
     await take(second, "waiting");
-    await goTo(second, "#/activity");
-
     await openEntity(first, "PeopleBot2");
     await first.getByRole("button", { name: "Release it" }).click();
-    await second.close();
+    await second.context().close();
     await openEntity(first, "Cyton");
-    await first.getByRole("button", { name: "Check out Cyton" }).waitFor({ timeout: 60_000 });
     await checkOut(first, "Cyton");
     await goTo(first, "#/collaboration");
     await first.getByRole("button", { name: "Plan it Transport", exact: true }).click();
     await first.getByLabel(/^Role 1/).selectOption({ label: "PeopleBot" });
+    await first.getByLabel(/^Role 2/).selectOption({ label: "Cyton" });
     await first.getByRole("button", { name: "Run Transport", exact: true }).waitFor();
     await take(first, "plan");
     await first.getByRole("button", { name: "Check, nothing moves" }).click();

@@ -132,7 +132,7 @@ export async function checkOut(page, name) {
 export const throttleable = () => {
     const held = new Map();
     let throttled = false;
-    const plain = { setTimeout, clearTimeout, setInterval, requestAnimationFrame };
+    const plain = Object.fromEntries([setTimeout, clearTimeout, setInterval, requestAnimationFrame].map((one) => [one.name, one.bind(globalThis)]));
     globalThis.setTimeout = (call, ms, ...words) => {
         const run = () => (throttled ? held.set(id, run) : call(...words));
         const id = plain.setTimeout(run, ms);
