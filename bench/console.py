@@ -161,19 +161,21 @@ class Measurement:
 
     def from_the_console(self):
         self.say("stops from the console and from the client of C++ in turns")
-        client, console = [], {page: [] for page in PAGES}
-        shown = {page: [] for page in PAGES}
+        client = []
+        told = {page: [] for page in PAGES}
         first = min(self.args.scans + 20, self.args.entities - 1)
         for _ in range(self.args.stops):
             for page in PAGES:
                 time.sleep(PERIOD_MS / 2000)
                 client += self.beside.ask(f"stop {first} 1 1 0")["receipt_ms"]
                 time.sleep(PERIOD_MS / 2000)
-                told = self.browsers.do("stop", page=page)
-                console[page].append(told.get("receipt_ms"))
-                shown[page].append(told.get("painted_ms"))
-        self.result["in_turns"] = {"client": spread(client), **{page: spread(console[page]) for page in PAGES},
-                                   **{f"{page}_painted": spread(shown[page]) for page in PAGES}}
+                told[page].append(self.browsers.do("stop", page=page))
+        self.result["in_turns"] = {"client": spread(client)}
+        for what, key in (("", "receipt_ms"), ("_painted", "painted_ms"), ("_begun", "handled_ms")):
+            for page in PAGES:
+                self.result["in_turns"][page + what] = spread([one.get(key) for one in told[page]])
+        # Where the page's time goes, from the press to the receipt on the screen.
+        self.result["spent_ms"] = {page: {key: quantile([one[key] for one in told[page]], 0.5) for key in ("script_ms", "style_ms", "layout_ms")} for page in PAGES}
         self.result["memory_after"] = self.browsers.do("memory")
 
     def frozen(self):
@@ -246,6 +248,8 @@ def show(result):
     print("in turns")
     for name, its in result["in_turns"].items():
         print(f"{name:32} {its['n']:5} {its['lost']:5} {its['p50']:8.2f} {its['p99']:8.2f} {its['max']:8.2f}")
+    for page, its in result["spent_ms"].items():
+        print(f"spent by the page {page:14} script {its['script_ms']:.1f}, style {its['style_ms']:.1f}, layout {its['layout_ms']:.1f} ms for each stop (medians)")
     print("frames in a second")
     for page, its in result["frames"].items():
         print(f"{page:32} {its['n']:5} mean {its['mean']:.1f}, median {its['median']:.1f}, worst 5 % {its['worst_5_percent']:.1f}, longest pause {its['longest_ms']:.0f} ms")

@@ -95,7 +95,8 @@ class HttpsTest(unittest.TestCase):
         status, text = self.visit(url)
         self.assertEqual(status, 0, f"{text}\nThe server:\n{self.server.text()}")
         self.assertIn("audit: console: 'anna' logged in", self.server.text())
-        self.assertIn("a foreign page opens", self.server.text())
+        for refused in ("a session that a foreign page opens", "a request of a foreign page"):
+            self.assertIn(f"audit: console: {refused}", self.server.text())
         return text
 
     def behind(self, kind):

@@ -61,6 +61,12 @@ async function processes(browser) {
         return words.includes("network.mojom.NetworkService") ? [{ type: "network", pid: id }] : [];
     });
 }
+/** What the page has spent so far, in milliseconds, and its heap in bytes. */
+async function spent(cdp) {
+    const { metrics } = await cdp.send("Performance.getMetrics");
+    const of = (wanted) => metrics.find(({ name }) => name === wanted).value;
+    return { script_ms: of("ScriptDuration") * 1000, style_ms: of("RecalcStyleDuration") * 1000, layout_ms: of("LayoutDuration") * 1000, heap: of("JSHeapUsedSize") };
+}
 /** In MiB. */
 function memoryOf(pid) {
     const of = (file, key) => Number(new RegExp(`^${key}:\\s+(\\d+)`, "m").exec(readFileSync(`/proc/${pid}/${file}`, "utf8"))?.[1] ?? 0) / 1024;
@@ -98,8 +104,7 @@ const commands = {
     async memory() {
         const found = {};
         for (const [which, { browser, cdp }] of open) {
-            const { metrics } = await cdp.send("Performance.getMetrics");
-            const heap = metrics.find(({ name }) => name === "JSHeapUsedSize").value / 2 ** 20;
+            const heap = (await spent(cdp)).heap / 2 ** 20;
             // The browser has other renderers, which are smaller.
             const [page] = (await processes(browser)).filter(({ type }) => type === "renderer").map(({ pid }) => memoryOf(pid)).sort((a, b) => b.own - a.own);
             found[which] = { heap, ...page };
@@ -107,15 +112,17 @@ const commands = {
         return found;
     },
     async stop({ page: which }) {
-        const { page } = open.get(which);
+        const { page, cdp } = open.get(which);
         const box = await page.locator(".dock .stop").boundingBox();
         await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
         const receipt = page.evaluate(() => globalThis.nextReceipt());
+        const before = await spent(cdp);
         await page.mouse.down();
         const told = await receipt;
+        const after = await spent(cdp);
         await page.mouse.up();
         await page.evaluate(() => document.querySelector('.receipts [aria-label="Close the receipt"]')?.click());
-        return told;
+        return { ...told, ...Object.fromEntries(["script_ms", "style_ms", "layout_ms"].map((key) => [key, after[key] - before[key]])) };
     },
     async connected() {
         for (const { page } of open.values()) await page.locator("[data-connection=connected]").waitFor();
