@@ -20,7 +20,7 @@ from typing import Any, Literal, Optional, Protocol, TypeVar, Union, overload
 
 from . import _native
 from ._annotations import ParameterSpec, Signature, check_name, check_text, parameter_spec, read_signature
-from ._profiles import ServiceSpec, basic_profile, check_entity_name, check_service, read_services, services_profile
+from ._profiles import ServiceSpec, basic_profile, check_entity_name, check_service, read_category, read_services, services_profile
 from ._streams import Stream
 
 _log = logging.getLogger("axon_entity")
@@ -99,6 +99,8 @@ class Task:
 
     def wait(self, seconds: float) -> bool:
         """Waits this many seconds. Returns True when they have passed, and False at once if the task is cancelled."""
+        if not seconds >= 0:
+            raise ValueError(f"wait: expected 0 seconds or more, found {seconds}")
         return self._native.wait(float(seconds))
 
     def wait_while_paused(self) -> bool:
@@ -668,7 +670,7 @@ class Entity:
         global _warned_of_native_stop
         robot = self._category == "ROBOT"
         if self._basic_file is not None:
-            robot = 'category="MACHINE"' not in self._basic_file.read_text(encoding="utf-8", errors="replace") if self._basic_file.exists() else True
+            robot = read_category(self._basic_file) != "MACHINE"
         moving = [name for name, service in self._services.items() if (robot if service.moves is None else service.moves)]
         if not moving or self._stop_actions or _warned_of_native_stop:
             return

@@ -170,17 +170,29 @@ class Declared:
     parts: bool = False
 
 
-def read_services(file: pathlib.Path) -> dict[str, Declared]:
-    """The services of an XML file. What is wrong with it otherwise, the Entity Manager says with its lines."""
+def _read(file: pathlib.Path) -> ET.Element:
     if file.stat().st_size > 1024 * 1024:
         raise ValueError(f"{file}: expected a profile of at most 1 MiB")
     text = file.read_bytes()
     if b"<!DOCTYPE" in text:
         raise ValueError(f"{file}: expected XML without DOCTYPE")
     try:
-        root = ET.fromstring(text)
+        return ET.fromstring(text)
     except ET.ParseError as error:
         raise ValueError(f"{file}: expected XML: {error}; fix: check it with axon profile check {file}") from None
+
+
+def read_category(file: pathlib.Path) -> str:
+    """ROBOT or MACHINE, as a basic profile says; empty if it cannot be read."""
+    try:
+        return _read(file).get("category", "")
+    except (OSError, ValueError):
+        return ""
+
+
+def read_services(file: pathlib.Path) -> dict[str, Declared]:
+    """The services of an XML file. What is wrong with it otherwise, the Entity Manager says with its lines."""
+    root = _read(file)
     found: dict[str, Declared] = {}
     for service in root.iter("Service"):
         declared = Declared(parts=service.find("Services") is not None)

@@ -110,6 +110,7 @@ Interfacer::~Interfacer() {
         while (!finish(3600)) {
         }
     }
+    interfacer_.reset();  // it may log until then
     ::close(wake_);
 }
 

@@ -355,7 +355,8 @@ void defineStopActions(py::module_& module) {
 
 void defineGuard(py::module_& module) {
     using axon::DeviceGuard;
-    py::class_<DeviceGuard>(module, "DeviceGuard")
+    py::class_<DeviceGuard>(module, "DeviceGuard",
+                            "A process beside this one that stops the device when this one freezes or dies.")
         .def(py::init([](const std::string& device, const py::bytes& stop, double silence) {
                  DeviceGuard::Options options;
                  options.device = device;
