@@ -281,7 +281,8 @@ void ClientStation::directTurn() {
         head.msg_type = kMsgWay;
         head.sequence = life.marks.nextSequence();
         head.sent_at_us = toMicroseconds(process_.now());
-        client::Outgoing message{client::Operation::ToEntity, head, mark.SerializeAsString(), link, path};
+        client::Outgoing message{
+            client::Operation::ToEntity, head, mark.SerializeAsString(), link, servers_, path};
         if (!life.ways.takes(message)) relay(message.kind, message.head, std::move(message.bytes));
         path->beat();
     }
@@ -336,7 +337,7 @@ void ClientStation::toServer(Connection* connection, Deliver deliver) {
 void ClientStation::put(client::Operation kind, const Header& head, std::string bytes) {
     if (kind == client::Operation::ToEntity && connected() && !direct::alwaysRelayed(head.msg_type))
         observer_.sends(head);
-    client::Outgoing message{kind, head, std::move(bytes), life_->links.linkOf(head.entity)};
+    client::Outgoing message{kind, head, std::move(bytes), life_->links.linkOf(head.entity), servers_};
     if (!life_->ways.takes(message)) relay(message.kind, message.head, std::move(message.bytes));
 }
 void ClientStation::relay(client::Operation kind, const Header& head, std::string bytes) {
@@ -359,7 +360,6 @@ void ClientStation::relay(client::Operation kind, const Header& head, std::strin
             }
         });
 }
-/// Marks, and what a path has not acknowledged.
 void ClientStation::relayForPaths(client::Operation kind, const Header& head, std::string bytes) {
     if (connected() && head.msg_type != kMsgWay) ++observer_.counts().sent_again;
     relay(kind, head, std::move(bytes));

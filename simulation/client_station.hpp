@@ -107,15 +107,31 @@ class ClientStation final : public client::ServerLink,
     void onServerText(int, const std::string&) override {}
 
   private:
+    /// What goes by the servers in place of a path: marks, and what a path has not acknowledged.
+    class ServersForPaths final : public client::DataLane {
+      public:
+        explicit ServersForPaths(ClientStation& station) : station_(station) {}
+        void send(client::Operation kind, const Header& head, std::string bytes) const override {
+            station_.relayForPaths(kind, head, std::move(bytes));
+        }
+        void add(client::Operation kind, const Header& head, std::string bytes) const override {
+            send(kind, head, std::move(bytes));
+        }
+        void write() const override {}
+        std::size_t waiting() const override { return 0; }
+        std::size_t waitingBytes() const override { return 0; }
+        void awaitRoom(Duration) const override {}
+
+      private:
+        ClientStation& station_;
+    };
     struct Life {
         Life(ClientStation& station, SeededRandom& random)
             : core({}, station.process_, random, station, station, marks),
               desk(station.process_, station, marks),
               links(station.process_, kPathsMost,
                     [&station](const client::DirectOffer& offer) { return station.makePath(offer); }),
-              ways([&station](client::Operation kind, const Header& head,
-                              std::string bytes) { station.relayForPaths(kind, head, std::move(bytes)); },
-                   [&station] { station.wakeBeat(); }) {}
+              ways([&station] { station.wakeBeat(); }) {}
         client::SignalMarks marks;
         client::SessionCore core;
         client::StopDesk desk;
@@ -134,6 +150,7 @@ class ClientStation final : public client::ServerLink,
         TimePoint retry_at = TimePoint::max();
         Backoff backoff{client::Reconnection::kFirst, client::Reconnection::kLast};
     };
+    const std::shared_ptr<const client::DataLane> servers_ = std::make_shared<ServersForPaths>(*this);
     bool hears(std::uint64_t attempt) const { return life_ && life_->listening == attempt; }
     static constexpr std::size_t kPathsMost = 64;
     std::shared_ptr<client::DirectPath> makePath(const client::DirectOffer& offer);
