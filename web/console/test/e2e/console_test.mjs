@@ -447,6 +447,8 @@ test("AnotherUserLogsInWithTheSameBrowser", async () => {
         await openEntity(page, "Greeter");
         await page.getByText("You may look at it and stop it.").waitFor();
         // The server forgets who is logged in; a person logs in, and it is another one.
+        const portOf = (path) => page.evaluate((end) => new URL(globalThis.sockets.find(({ url }) => url.endsWith(end)).url).host, path);
+        [own.sessions, own.signals] = [await portOf("/axon"), await portOf("/axon-signal")];
         await own.lab.server.end("SIGKILL");
         await own.startServer();
         await page.getByText("The server no longer knows who you are").waitFor();

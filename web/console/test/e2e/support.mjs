@@ -66,6 +66,7 @@ export class House {
         const console = this.url === undefined ? "127.0.0.1:0" : new URL(this.url).host;
         const own = lab.serverOptions.length;
         lab.serverOptions.push(...this.options, "--console-endpoint", console, "--console-session-endpoint", this.sessions ?? "127.0.0.1:0");
+        if (this.signals !== undefined) lab.serverOptions.push("--console-signal-endpoint", this.signals);
         await lab.startServer();
         lab.serverOptions.length = own;
         this.url ??= lab.at.console;
