@@ -185,8 +185,8 @@ class _Service:
         if signature.takes_task:
             first = (task,)
         returned = self.function(*first, **given)
-        if returned is None and task.cancelled:
-            return
+        if task.cancelled and (returned is None or signature.output_form == "none"):
+            return  # the stop ended it in the middle
         for output, values in signature.results(returned, f"the handler of '{self.spec.name}'"):
             units = output.units or self.declared_reports.get(output.name, "")
             task._native.result(output.name, values, units)
@@ -767,7 +767,7 @@ def _at_exit() -> None:
         except KeyboardInterrupt:
             forced = True
     if forced:
-        _log.error("a handler has not returned for %g s after the shutdown; the program is ended (status 1)", FORCE_EXIT_AFTER_S)
+        _log.error("a handler or on_stop has not returned for %g s after the shutdown; the program is ended (status 1)", FORCE_EXIT_AFTER_S)
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(1)
