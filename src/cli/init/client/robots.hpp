@@ -47,7 +47,7 @@ inline int runService(axon::client::Client& client, const std::string& robot, co
     std::cout << service << ": " << toString(report.state) << '\n';
     for (const auto& [name, values] : report.results) {
         std::cout << "  " << name << " =";
-        for (const auto& value : values) std::cout << ' ' << toText(value);
+        for (const auto& value : values) std::cout << ' ' << axon::client::toText(value);
         std::cout << '\n';
     }
     return report.state == TaskState::Succeeded ? 0 : refused(report.reason);
