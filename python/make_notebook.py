@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Makes a notebook of a page: make_notebook.py PAGE.md NOTEBOOK.ipynb. Blocks of ```python are its cells of code."""
+"""Makes a notebook of a page: make_notebook.py PAGE NOTEBOOK. Blocks of ```python are its cells of code."""
 import json
 import re
 import sys

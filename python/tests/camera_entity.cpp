@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// camera-entity FOLDER_OF_PROFILES PORTS_FILE: sends a picture of 640 x 480 pixels 30 times a second, and a scan. Its service
-// Nothing does nothing, for the benchmark of round trips.
+// camera-entity FOLDER_OF_PROFILES PORTS_FILE: sends a picture of 640 x 480 pixels 30 times a second, and a
+// scan. Its service Nothing does nothing, for the benchmark of round trips.
 #include <axon/entity_interfacer.hpp>
 #include <chrono>
 #include <cmath>

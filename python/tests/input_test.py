@@ -22,9 +22,9 @@ def test_values_arrive_as_they_were_given(laboratory, client, take):
 
 @pytest.mark.parametrize("name, value, code", [
     ("Distance", axon.Quantity(1, "cm"), Code.WRONG_UNITS),
-    ("Distance", "far", Code.MALFORMED),
+    ("Distance", "far", Code.WRONG_TYPE),
     ("Distance", 9999, Code.OUT_OF_RANGE),
-    ("Distance", True, Code.MALFORMED),
+    ("Distance", True, Code.WRONG_TYPE),
 ])
 def test_the_profile_decides_what_a_value_is(laboratory, client, take, name, value, code):
     laboratory.add()
@@ -38,7 +38,7 @@ def test_the_profile_decides_what_a_value_is(laboratory, client, take, name, val
 def test_what_is_missing_or_unknown_is_named(laboratory, client, take, refused):
     laboratory.add()
     robot = take(client())
-    with refused(Code.PARAMETER_MISSING):
+    with refused(Code.MISSING_DEPENDENCY):
         robot.run("Drive")
     with refused(Code.UNKNOWN_PARAMETER):
         robot.run("Drive", Distance=1, Heigth=2)

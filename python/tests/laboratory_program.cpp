@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// axon-test-laboratory: axon::testing::Laboratory in a process of its own, for tests in Python. It says where the server is,
-// then carries out one command per line, {"do": "add", …}, and answers each with one line, {"ok": true, …}.
+// axon-test-laboratory: axon::testing::Laboratory in a process of its own, for tests in Python. It says where
+// the server is, then carries out one command per line, {"do": "add", …}, and answers each with one line,
+// {"ok": true, …}.
 #include <axon/testing/laboratory.hpp>
 #include <iostream>
 #include <map>
@@ -55,7 +56,8 @@ class Program {
     Json carryOut(const Json& command) {
         const auto what = command.at("do").get<std::string>();
         if (what == "add") {
-            auto entity = laboratory_.add(command.at("basic").get<std::string>(), command.at("services").get<std::string>());
+            auto entity = laboratory_.add(command.at("basic").get<std::string>(),
+                                          command.at("services").get<std::string>());
             entities_.emplace(command.at("key").get<std::string>(), entity);
             return {};
         }
@@ -76,10 +78,13 @@ class Program {
         if (what == "deny") entity.denyParameter(text("service"), text("parameter"), text("reason"));
         if (what == "standstill") entity.reportStandstill(Seconds(command.at("after").get<double>()));
         if (what == "confirm") entity.confirmStops(command.at("confirm").get<bool>());
-        if (what == "active") entity.setServiceActive(text("service"), command.at("active").get<bool>(), text("reason"));
+        if (what == "active")
+            entity.setServiceActive(text("service"), command.at("active").get<bool>(), text("reason"));
         if (what == "text") entity.sendText(text("text"));
         if (what == "raw") entity.sendRaw(text("text"));
-        if (what == "sample") entity.sendSample(text("stream"), command.at("numbers").get<std::vector<double>>(), text("units"));
+        if (what == "sample")
+            entity.sendSample(text("stream"), command.at("numbers").get<std::vector<double>>(),
+                              text("units"));
         if (what == "lose_application") entity.loseApplication();
         if (what == "restore_application") entity.restoreApplication();
         if (what == "leave") entity.leave();

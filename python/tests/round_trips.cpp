@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// round-trips SERVER ENTITY: lets the entity carry out the service Nothing as often as each line on its input says, and prints how
-// long each task took, in microseconds, on one line. What benchmark_test.py compares Python with.
+// round-trips SERVER ENTITY: lets the entity carry out the service Nothing as often as each line on its input
+// says, and prints how long each task took, in microseconds, on one line. What benchmark_test.py compares
+// Python with.
 #include <axon/client.hpp>
 #include <chrono>
 #include <iostream>

@@ -135,8 +135,9 @@ std::shared_ptr<NativeClient> connectTo(Options options, std::optional<Seconds> 
     return connection;
 }
 
-CheckOutOptions checkOutOptions(std::optional<Seconds> wait, const FeedPtr& waiting, int tag, bool ask, bool force,
-                                Text reason, const HandOverPolicy& hand_over, const GiveUp& give_up) {
+CheckOutOptions checkOutOptions(std::optional<Seconds> wait, const FeedPtr& waiting, int tag, bool ask,
+                                bool force, Text reason, const HandOverPolicy& hand_over,
+                                const GiveUp& give_up) {
     CheckOutOptions out;
     out.wait = wait;
     if (waiting) out.on_waiting = into<Waiting>(waiting, tag);
@@ -336,9 +337,10 @@ void bindConnection(py::module_& module) {
              })
         .def("check_out",
              [](const NativeClient& self, std::vector<std::string> names, std::optional<Seconds> wait,
-                const FeedPtr& waiting, int tag, bool ask, bool force, Text reason, const HandOverPolicy& hand_over,
-                GiveUp& give_up) {
-                 const auto options = checkOutOptions(wait, waiting, tag, ask, force, reason, hand_over, give_up);
+                const FeedPtr& waiting, int tag, bool ask, bool force, Text reason,
+                const HandOverPolicy& hand_over, GiveUp& give_up) {
+                 const auto options =
+                     checkOutOptions(wait, waiting, tag, ask, force, reason, hand_over, give_up);
                  return waits(self, give_up, [names, options](Client& c) -> Result<std::vector<CheckOut>> {
                      if (names.size() != 1) return c.checkOut(names, options);
                      auto one = c.checkOut(names.front(), options);
@@ -348,9 +350,10 @@ void bindConnection(py::module_& module) {
              })
         .def("check_out_query",
              [](const NativeClient& self, std::string query, std::optional<Seconds> wait,
-                const FeedPtr& waiting, int tag, bool ask, bool force, Text reason, const HandOverPolicy& hand_over,
-                GiveUp& give_up) {
-                 const auto options = checkOutOptions(wait, waiting, tag, ask, force, reason, hand_over, give_up);
+                const FeedPtr& waiting, int tag, bool ask, bool force, Text reason,
+                const HandOverPolicy& hand_over, GiveUp& give_up) {
+                 const auto options =
+                     checkOutOptions(wait, waiting, tag, ask, force, reason, hand_over, give_up);
                  return waits(self, give_up,
                               [query, options](Client& c) { return c.checkOutQuery(query, options); });
              })

@@ -134,9 +134,9 @@ py::array image(const py::object& self) {
         const auto row = width * per_pixel;  // at most 34 bits
         const bool fits = row > 0 ? size % row == 0 && size / row == height : size == 0;
         if (!fits)
-            throw py::value_error("a picture of " + std::to_string(width) + " x " +
-                                  std::to_string(height) + " pixels of " + encoding +
-                                  " was expected, and it has " + std::to_string(size) + " bytes");
+            throw py::value_error("a picture of " + std::to_string(width) + " x " + std::to_string(height) +
+                                  " pixels of " + encoding + " was expected, and it has " +
+                                  std::to_string(size) + " bytes");
     };
     if (encoding == "rgb8" || encoding == "bgr8") return check(3), view(self, bytes, {height, width, 3});
     if (encoding == "rgba8" || encoding == "bgra8") return check(4), view(self, bytes, {height, width, 4});
