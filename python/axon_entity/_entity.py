@@ -459,7 +459,7 @@ class Entity:
         """The link has ended: function(reason)."""
         return self._on("link_down", function)
 
-    def _on(self, event: str, function: Any, decision: bool = False) -> Any:
+    def _on(self, event: str, function: _F, decision: bool = False) -> _F:
         self._check_not_started(f"on_{event}")
         if not callable(function):
             raise TypeError(f"on_{event}: expected a function, found {function!r}")

@@ -93,8 +93,9 @@ class Stream:
         elif hasattr(sample, "ndim") and getattr(sample, "ndim") > 0:
             self._publish_array(sample, units, encoding)
         else:
+            one: Any = sample
             try:
-                number = float(sample)
+                number = float(one)
             except (TypeError, ValueError):
                 raise self._wrong(sample) from None
             native.value(number, units)

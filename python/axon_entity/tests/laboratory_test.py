@@ -132,5 +132,6 @@ def test_the_measuring_programs_measure(program, options, tmp_path):
 
 
 def test_client_and_robot_live_in_one_process():
+    # Both modules have messages of protobuf, of which a process admits each once.
     done = subprocess.run([sys.executable, "-c", "import axon, axon_entity, axon_entity.testing; axon_entity.Entity('Both')"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
