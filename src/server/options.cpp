@@ -124,7 +124,8 @@ void moveConsole(ConsoleSettings& console, const std::map<std::string, std::stri
             *endpoint = given;
         } else if (!endpoint->empty() && (!listen.empty() || base_port >= 0)) {
             auto one = endpointsOf(key, *endpoint).front();
-            if (!listen.empty()) one.host = listen;
+            // What is configured for this machine alone stays there: who wants browsers of others says so.
+            if (!listen.empty() && (isLoopback(listen) || !isLoopback(one.host))) one.host = listen;
             if (base_port == 0) one.port = 0;
             if (base_port > 0) {
                 if (its_port > kPortMax)

@@ -122,7 +122,12 @@ TEST(ServerOptions, AConsoleThatIsConfiguredMovesWithTheOtherPorts) {
     EXPECT_EQ(console({"--listen", "127.0.0.2"}), "127.0.0.2:8000 127.0.0.2:8001 127.0.0.2:8002");
     EXPECT_EQ(console({"--base-port", "20000", "--console-session-endpoint", "127.0.0.1:7"}),
               "127.0.0.1:20007 127.0.0.1:7 127.0.0.1:20009");
-    EXPECT_THAT(complaint({"--config", file.string(), "--listen", "0.0.0.0"}), HasSubstr("no users"));
+    EXPECT_EQ(console({"--listen", "0.0.0.0", "--users", "users.cfg", "--plain-tcp"}),
+              "127.0.0.1:8000 127.0.0.1:8001 127.0.0.1:8002")
+        << "not to other machines unless asked";
+    std::ofstream(file) << "Console.Endpoints = ssl://192.0.2.1:8000\n";
+    EXPECT_EQ(console({"--listen", "192.0.2.2", "--users", "users.cfg", "--plain-tcp"}),
+              "192.0.2.2:8000 192.0.2.2:8001 192.0.2.2:8002");
     EXPECT_THAT(complaint({"--config", file.string(), "--base-port", "65530"}),
                 testing::AllOf(HasSubstr("there is none; fix: "), HasSubstr("65526")));
     std::filesystem::remove(file);
