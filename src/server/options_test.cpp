@@ -127,7 +127,7 @@ TEST(ServerOptions, AConsoleThatIsConfiguredMovesWithTheOtherPorts) {
         << "not to other machines unless asked";
     std::ofstream(file) << "Console.Endpoints = ssl://192.0.2.1:8000\n";
     EXPECT_EQ(console({"--listen", "192.0.2.2", "--users", "users.cfg", "--plain-tcp"}),
-              "192.0.2.2:8000 192.0.2.2:8001 192.0.2.2:8002");
+              "ssl://192.0.2.2:8000 ssl://192.0.2.2:8001 ssl://192.0.2.2:8002");
     EXPECT_THAT(complaint({"--config", file.string(), "--base-port", "65530"}),
                 testing::AllOf(HasSubstr("there is none; fix: "), HasSubstr("65526")));
     std::filesystem::remove(file);

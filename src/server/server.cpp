@@ -225,8 +225,9 @@ transport::CommunicatorSettings browserSettings(const ServerSettings& settings, 
     auto its = communicatorSettings(settings, lane);
     its.name = lane == Lane::Signal ? "axon-br-signal" : "axon-browsers";
     its.properties["IceSSL.VerifyPeer"] = "0";
-    // The largest that a page sends are chunks of files, of 64 KiB, and texts that are parameters of tasks.
-    its.properties.emplace("FrontEndServerBrowsers.MessageSizeMax", std::to_string(kBrowserSizeMaxKib));
+    // Of what a page sends, and of its request for a WebSocket. The largest are chunks of files, of 64 KiB,
+    // and texts that are parameters of tasks.
+    its.properties.emplace("Ice.MessageSizeMax", std::to_string(kBrowserSizeMaxKib));
     // What one browser sends, or somebody who never ends a request, does not keep the others waiting.
     its.server_threads =
         lane == Lane::Signal ? std::max(2, settings.signal_threads) : std::max(4, settings.data_threads);

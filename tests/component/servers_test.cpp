@@ -129,7 +129,9 @@ TEST(ServerStart, SaysThatAPortIsTaken) {
         const server::Server second(settings);
         FAIL() << "expected a misconfiguration";
     } catch (const std::runtime_error& error) {
-        EXPECT_NE(std::string(error.what()).find("another axon-server"), std::string::npos) << error.what();
+        EXPECT_NE(std::string(error.what()).find("perhaps an axon-server that is already running"),
+                  std::string::npos)
+            << error.what();
     }
 }
 

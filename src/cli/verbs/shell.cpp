@@ -16,6 +16,7 @@ namespace axon::cli {
 namespace fs = std::filesystem;
 
 std::optional<fs::path> pythonFolder(const fs::path& program) {
+    if (program.empty()) return std::nullopt;  // unknown
     const auto folder = program.parent_path().parent_path();
     // Installed: PREFIX/bin/axon. Built: build/PRESET/bin/axon.
     for (const auto& packages : {folder / "lib/python3/dist-packages", folder / "python"}) {
