@@ -391,6 +391,8 @@ class Watch:
         out: List[Sample] = []
         for _ in range(count):
             native = self._feed.take(seconds("timeout", timeout))
+            if native is None and self._feed.ended:
+                raise Refused(RefusalCode.NOT_CONNECTED, "This connection was closed; fix: connect again")
             if native is None:
                 raise Refused(RefusalCode.TIMED_OUT, f"{len(out)} of {count} samples of {', '.join(self._streams) or 'any stream'} within "
                               f"{timeout:g} s; fix: see whether the entity sends this stream: axon watch ENTITY")

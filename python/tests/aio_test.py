@@ -61,7 +61,7 @@ def test_many_tasks_and_streams_need_no_threads(laboratory):
             waits = [asyncio.ensure_future(task.wait()) for task in tasks]
             reads = [asyncio.ensure_future(robot.battery.take(2, timeout=20)) for robot in robots]
             await until(lambda: all(task.report.state == TaskState.RUNNING for task in tasks))
-            assert threading.active_count() == before
+            assert threading.active_count() <= before
             while not all(read.done() for read in reads):
                 for entity in entities:
                     entity.sample("battery", 12.0)

@@ -25,7 +25,13 @@ for update in task:
 
 def aside(call):
     begun = threading.Event()
-    threading.Thread(target=lambda: (begun.set(), call()), daemon=True).start()
+    def work():
+        begun.set()
+        try:
+            call()
+        except axon.Refused:  # the connection was closed
+            pass
+    threading.Thread(target=work, daemon=True).start()
     begun.wait()
 """
 

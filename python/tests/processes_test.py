@@ -204,6 +204,65 @@ def test_a_lost_server_is_told_and_the_client_comes_back(real):
             again.run("Greet", Name="again", Times=1)
 
 
+def test_two_of_a_name_are_told_apart(real):
+    lab = real()
+    lab.start_server()
+    ports = lab.folder / "ports.cfg"
+    ports.write_text(f"Axon.Ports = {lab.ports}\n")
+    for number in (1, 2):
+        folder = lab.folder / f"profiles-{number}"
+        folder.mkdir()
+        for name in ("basic.xml", "services.xml"):
+            (folder / name).write_bytes((EXAMPLES / "01_hello_entity" / name).read_bytes())
+        lab.start(f"application-{number}", "hello-entity", folder, ports)
+        lab.start(f"manager-{number}", "axon-entity-manager", "--application", "Greeter", "--ports-file", ports, *lab.manager_options([]))
+    with axon.connect(lab.at["client"]) as client:
+        wait_until(lambda: len(client.entities()) == 2, "both are there")
+        with pytest.raises(axon.Refused) as error:
+            client.find("Greeter")
+        assert error.value.code == Code.AMBIGUOUS_ENTITY
+        assert client.find("Greeter#2").name == "Greeter"
+        with client.checkout_all(["Greeter#1", client.find("Greeter#2")]) as both:
+            assert len(both) == 2
+
+
+def test_an_upload_that_was_given_up_goes_on_under_the_same_check_out_and_under_the_next(real):
+    lab = real()
+    lab.start_server()
+    start(lab, "03_parameters", Plotter=["plotter-entity"])
+    file = lab.folder / "drawing.txt"
+    file.write_text("0.5 0.5\n" * 200_000)
+    size = file.stat().st_size
+    sent_of = []
+
+    class Enough(Exception):
+        pass
+
+    def give_up_behind(end):
+        sent_of.clear()
+
+        def told(sent, _):
+            sent_of.append(sent)
+            if sent > end:
+                raise Enough
+        return told
+    with axon.connect(lab.at["client"]) as client:
+        client.wait_for("Plotter", 15)
+        with client.checkout("Plotter") as robot:
+            with pytest.raises(Enough):
+                robot.upload("Draw", "Drawing", file, give_up_behind(size / 3))
+            before = sent_of[-1]
+            assert before < size
+            with pytest.raises(Enough):
+                robot.upload("Draw", "Drawing", file, give_up_behind(size / 2))
+            assert sent_of[0] >= before
+            last = sent_of[-1]
+        with client.checkout("Plotter") as robot:
+            sent_of.clear()
+            robot.upload("Draw", "Drawing", file, lambda sent, _: sent_of.append(sent))
+            assert sent_of[0] >= last, "where the one before ended"
+
+
 def test_the_command_starts_the_shell(real):
     lab = real()
     lab.start_server()

@@ -47,7 +47,7 @@ def test_completes_the_rest_of_a_name_with_a_space():
 def test_runs_what_is_typed_and_completes_it(laboratory):
     laboratory.add()
     text = ("robot = checkout('PeopleBot')\n"
-            "print('completes', get_ipython().complete('', \"robot.run('Dr\")[1])\n"
+            "print('completes', get_ipython().complete('Dr', \"robot.run('Dr\", 13)[1])\n"
             "print('holds', robot.name, robot.run('Drive', Distance=1))\n"
             "print(stop('Nobody'))\n")
     done = subprocess.run([sys.executable, "-m", "axon.shell", laboratory.server], input=text, capture_output=True, text=True, timeout=60,

@@ -123,6 +123,8 @@ def test_a_stream_is_iterated_and_its_oldest_samples_give_way(laboratory, client
     with refused(Code.TIMED_OUT) as told:
         robot.battery.next(timeout=0.1)
     assert "0 of 1 samples of battery" in told.error.message
+    texts = []
+    robot.on_text(texts.append)
     with robot.stream("battery", limit=4).watch() as watch:
         wait_until(lambda: entity.sample("battery", 1.0, units="V") or len(watch._feed))
         for number in range(40):
