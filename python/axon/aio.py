@@ -137,7 +137,9 @@ class Reader:
         else:
             self.feed.abandon()
         self._lab._loop.forget(self._number)
-        self._lab._readers.discard(self)
+        if self in self._lab._readers:
+            self._lab._readers.discard(self)
+            self._lab._dropped += self.feed.dropped
         self._new.set()
 
 
@@ -557,6 +559,12 @@ class Lab:
         self._loop = Loop()
         self._readers: "set[Reader]" = set()
         self._fans: Dict[str, _native.Feed] = {}
+        self._dropped = 0  # by readers that are closed
+
+    @property
+    def dropped(self) -> int:
+        """How many texts, raw messages and samples were dropped because those who iterate were too slow."""
+        return self._dropped + sum(reader.feed.dropped for reader in self._readers)
 
     @property
     def connected(self) -> bool:

@@ -376,14 +376,14 @@ void bindCheckOut(py::module_& module) {
 
 /// Puts the check-outs into a list that the caller has already: KeyboardInterrupt may come before it has what
 /// a call returns, and then it knows what to release.
-void give(const py::list& granted, std::vector<CheckOut> all) {
+void give(py::list granted, std::vector<CheckOut> all) {
     for (auto& one : all) granted.append(OwnCheckOut(std::move(one)));
 }
 
 /// A grant that came when nobody waited for it any more is given back.
 void releaseAll(Result<std::vector<CheckOut>>& granted) {
     if (!granted) return;
-    for (const auto& one : *granted) (void)one.release();
+    for (const auto& one : granted.value()) (void)one.release();
 }
 
 void bindConnection(py::module_& module) {
@@ -472,7 +472,7 @@ void bindConnection(py::module_& module) {
              })
         .def("held",
              [](const NativeClient& self) {
-                 const py::list out;
+                 py::list out;
                  give(out, atOnce(self, [](Client& c) { return c.held(); }));
                  return out;
              })
