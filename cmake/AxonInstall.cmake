@@ -50,6 +50,7 @@ install(DIRECTORY "${PROJECT_SOURCE_DIR}/examples/" DESTINATION "${CMAKE_INSTALL
   COMPONENT libaxon-entity-interfacer-dev PATTERN "examples/CMakeLists.txt" EXCLUDE PATTERN "examples/python" EXCLUDE PATTERN README.md EXCLUDE)
 # Their pages: the links to the documentation lead into the package axon-doc.
 file(GLOB example_pages RELATIVE "${PROJECT_SOURCE_DIR}/examples" CONFIGURE_DEPENDS "${PROJECT_SOURCE_DIR}/examples/*/README.md")
+list(FILTER example_pages EXCLUDE REGEX "^python/") # those are installed with their programs, by python/*/CMakeLists.txt
 foreach(page IN LISTS example_pages)
   set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS "${PROJECT_SOURCE_DIR}/examples/${page}")
   file(READ "${PROJECT_SOURCE_DIR}/examples/${page}" text)

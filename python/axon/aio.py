@@ -22,7 +22,7 @@ from . import _native
 from ._native import (Details, DrillReport, Entity, GlobalService, GlobalServices, HandOverPolicy, HandOverRequest, Proposal, Receipt,
                       Refusal, RunHistory, RunReport, Sender, Service, TaskReport, Waiting)
 from .client import (Event, Named, PathLike, bindings_of, cancel_quietly, checked, global_service, master_of, name_of, names_of,
-                     release_quietly, run_result, service_of, settings, start_native)
+                     release_all, release_quietly, run_result, service_of, settings, start_native)
 from .errors import Refused
 from .refusals import RefusalCode
 from .states import Presence
@@ -73,6 +73,9 @@ async def in_thread(call: Callable[[], T], give_up: Optional[_native.GiveUp] = N
     except asyncio.CancelledError:
         if give_up is not None:
             give_up.request()
+        if unwanted is not None and answer.done() and not answer.cancelled() and answer.exception() is None:
+            # It had come, and the task was cancelled before it went on.
+            threading.Thread(target=unwanted, args=(answer.result(),), name="axon-request", daemon=True).start()
         raise
 
 
@@ -125,11 +128,28 @@ class Reader:
                 return entry
             await self._new.wait()
 
-    def close(self) -> None:
-        self.feed.close()
+    def close(self, keep: bool = False) -> None:
+        """`keep`: what has arrived can still be taken."""
+        if not self._lab._native.of_this_process():
+            return
+        if keep:
+            self.feed.close()
+        else:
+            self.feed.abandon()
         self._lab._loop.forget(self._number)
-        self._lab._readers.discard(self)
+        if self in self._lab._readers:
+            self._lab._readers.discard(self)
+            self._lab._dropped += self.feed.dropped
         self._new.set()
+
+
+def fan_out(fans: Dict[str, _native.Feed], what: str, begin: Callable[[_native.Feed, int], None], reader: Reader, tag: int) -> None:
+    """Has what `begin` tells go to this reader, too: the library knows one callback for each, so one feed passes it on."""
+    there = what in fans
+    fan = fans.setdefault(what, _native.Feed())
+    fan.forward(reader.feed, tag)
+    if not there:
+        begin(fan, tag)
 
 
 class Pending(Generic[T]):
@@ -161,7 +181,7 @@ def connect(server: Optional[str] = None, *, config: Optional[PathLike] = None, 
                      keep_running=keep_running)
 
     async def call() -> Lab:
-        return Lab(await in_thread(lambda: _native.connect(*given)))
+        return Lab(await in_thread(lambda: _native.connect(*given), unwanted=lambda native: native.close()))
     return Pending(call)
 
 
@@ -365,6 +385,7 @@ class Robot:
     def __init__(self, lab: Lab, native: _native.CheckOut) -> None:
         self._lab = lab
         self._native = native
+        self._fans: Dict[str, _native.Feed] = {}
 
     @property
     def entity(self) -> Entity:
@@ -455,7 +476,7 @@ class Robot:
 
     def _told(self, what: str, limit: int) -> AsyncIterator[Any]:
         reader = Reader(self._lab, limit)
-        getattr(self._native, what)(reader.feed, 0)
+        fan_out(self._fans, what, getattr(self._native, what), reader, 0)
 
         async def iterate() -> AsyncIterator[Any]:
             try:
@@ -509,7 +530,8 @@ class Robot:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await asyncio.shield(in_thread(lambda: release_quietly(self._native)))
+        if self._native.of_this_process():
+            await asyncio.shield(in_thread(lambda: release_quietly(self._native)))
 
     def __repr__(self) -> str:
         return f"<Robot {self.entity.name} {self.entity.state.name}>"
@@ -522,8 +544,8 @@ class Robots(List[Robot]):
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        for robot in self:
-            await asyncio.shield(in_thread(lambda native=robot._native: release_quietly(native)))  # type: ignore[misc]
+        # At the same time, and all of them, also if this is cancelled meanwhile.
+        await asyncio.shield(asyncio.gather(*(robot.__aexit__() for robot in self)))
 
     async def stop(self, deadline: float = 1.0, standstill: float = 0.0) -> Receipts:
         return await self[0]._lab.stop(*self, deadline=deadline, standstill=standstill) if self else Receipts()
@@ -536,6 +558,13 @@ class Lab:
         self._native = native
         self._loop = Loop()
         self._readers: "set[Reader]" = set()
+        self._fans: Dict[str, _native.Feed] = {}
+        self._dropped = 0  # by readers that are closed
+
+    @property
+    def dropped(self) -> int:
+        """How many texts, raw messages and samples were dropped because those who iterate were too slow."""
+        return self._dropped + sum(reader.feed.dropped for reader in self._readers)
 
     @property
     def connected(self) -> bool:
@@ -569,10 +598,10 @@ class Lab:
         return await in_thread(lambda: self._native.wait_for(name, seconds("timeout", timeout) or 0.0, give_up), give_up)
 
     def events(self) -> AsyncIterator[Event]:
-        """What happens from now on: entities that join, change and leave, the connection. One iteration at a time."""
+        """What happens from now on: entities that join, change and leave, the connection. Several may iterate."""
         reader = Reader(self, 0)
-        self._native.on_entity(reader.feed, 0)
-        self._native.on_connection(reader.feed, 1)
+        fan_out(self._fans, "entity", self._native.on_entity, reader, 0)
+        fan_out(self._fans, "connection", self._native.on_connection, reader, 1)
 
         async def iterate() -> AsyncIterator[Event]:
             try:
@@ -605,28 +634,35 @@ class Lab:
         if isinstance(names, str):
             raise TypeError(f"a list of names was expected, and the name {names!r} was given; fix: checkout() takes one name")
         given = names_of(names)
-        return self._check_out(lambda feed, give_up: self._native.check_out(
-            given, seconds("wait", wait), feed, 0, ask, force, reason, hand_over or HandOverPolicy(), give_up), on_waiting)
+        return self._check_out(lambda feed, give_up, granted: self._native.check_out(
+            given, seconds("wait", wait), feed, 0, ask, force, reason, hand_over or HandOverPolicy(), give_up, granted), on_waiting)
 
     def checkout_query(self, query: str, *, wait: Optional[float] = None, force: bool = False, reason: str = "",
                        hand_over: Optional[HandOverPolicy] = None,
                        on_waiting: Optional[Callable[[Waiting], None]] = None) -> Pending[Robots]:
         """Checks out entities that match a query."""
-        return self._check_out(lambda feed, give_up: self._native.check_out_query(
-            query, seconds("wait", wait), feed, 0, False, force, reason, hand_over or HandOverPolicy(), give_up), on_waiting)
+        return self._check_out(lambda feed, give_up, granted: self._native.check_out_query(
+            query, seconds("wait", wait), feed, 0, False, force, reason, hand_over or HandOverPolicy(), give_up, granted), on_waiting)
 
-    def _check_out(self, ask: Callable[[Optional[_native.Feed], _native.GiveUp], List[_native.CheckOut]],
+    def _check_out(self, ask: Callable[[Optional[_native.Feed], _native.GiveUp, List[_native.CheckOut]], None],
                    on_waiting: Optional[Callable[[Waiting], None]]) -> Pending[Robots]:
         async def call() -> Robots:
             give_up = _native.GiveUp()
             reader = Reader(self, 0) if on_waiting else None
             telling = asyncio.ensure_future(tell(reader)) if reader else None
+            natives: List[_native.CheckOut] = []
             try:
-                natives = await in_thread(lambda: ask(reader.feed if reader else None, give_up), give_up, release_all)
-            finally:
-                if reader and telling:
-                    reader.close()
-                    await telling
+                try:
+                    natives = await in_thread(lambda: granted_by(lambda granted: ask(reader.feed if reader else None, give_up, granted)),
+                                              give_up, release_all)
+                finally:
+                    if reader and telling:
+                        reader.close()
+                        await telling
+            except BaseException:  # on_waiting has thrown, or it was cancelled
+                if natives:
+                    threading.Thread(target=release_all, args=(natives,), name="axon-request", daemon=True).start()
+                raise
             return Robots(Robot(self, native) for native in natives)
 
         async def tell(reader: Reader) -> None:
@@ -640,7 +676,8 @@ class Lab:
 
     async def resume(self, ticket: str) -> Robot:
         give_up = _native.GiveUp()
-        return Robot(self, await in_thread(lambda: self._native.resume(ticket, give_up), give_up))
+        natives = await in_thread(lambda: granted_by(lambda granted: self._native.resume(ticket, give_up, granted)), give_up, release_all)
+        return Robot(self, natives[0])
 
     def held(self) -> Robots:
         return Robots(Robot(self, native) for native in self._native.held())
@@ -689,10 +726,13 @@ class Lab:
         return await in_thread(lambda: self._native.run_history(names, most))
 
     async def close(self) -> None:
-        """Releases what it holds and ends the connection."""
+        """Releases what it holds and ends the connection. Nothing in a child of fork(), which shares the event loop's descriptors
+        with its parent."""
+        if not self._native.of_this_process():
+            return
         await in_thread(self._native.close)
         for reader in list(self._readers):
-            reader.close()
+            reader.close(keep=True)
         self._loop.close()
 
     async def __aenter__(self) -> Lab:
@@ -705,7 +745,7 @@ class Lab:
         return f"<Lab {self.server if self.connected else 'not connected'}>"
 
 
-def release_all(natives: List[_native.CheckOut]) -> None:
-    """A grant that came when nobody waited any more is given back."""
-    for native in natives:
-        release_quietly(native)
+def granted_by(ask: Callable[[List[_native.CheckOut]], None]) -> List[_native.CheckOut]:
+    granted: List[_native.CheckOut] = []
+    ask(granted)
+    return granted

@@ -9,7 +9,8 @@ import queue
 import threading
 import weakref
 from types import TracebackType
-from typing import (Any, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Tuple, Type, TypeVar, Union)
+from typing import (Any, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Type, TypeVar,
+                    Union)
 
 from . import _native
 from ._native import (Details, DrillReport, Entity, GlobalService, GlobalServices, HandOverPolicy, HandOverRequest, Proposal, Receipt,
@@ -119,40 +120,71 @@ class Callbacks:
     """Calls the program's callbacks one at a time, in order, on a thread of Python that starts with the first of them.
 
     Threads of the client library only put what they have to tell into its feed, so a callback that does not return holds up
-    other callbacks and nothing else. An exception from a callback is logged (logger "axon") and ends nothing.
+    other callbacks and nothing else. An exception from a callback is logged (logger "axon") and ends nothing. The thread does
+    not keep the callbacks: they end with the connection to which they belong, also when that is forgotten.
     """
 
     def __init__(self) -> None:
         self.feed = _native.Feed()
         self._lock = threading.Lock()
-        self._called: Dict[int, Callable[[Any], None]] = {}
+        self._called: Dict[int, Tuple[Callable[[Any], None], Callable[[Any], bool]]] = {}
+        self._next = 0
         self._thread: Optional[threading.Thread] = None
 
-    def add(self, callback: Callable[[Any], None]) -> int:
+    def add(self, callback: Callable[[Any], None], last: Callable[[Any], bool] = lambda value: False) -> int:
+        """Returns the tag under which the feed gets what the callback is told. It is removed when it was told something that
+        is the `last`."""
         with self._lock:
-            tag = len(self._called)
-            self._called[tag] = callback
+            self._next += 1
+            self._called[self._next] = callback, last
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="axon-callbacks", daemon=True)
+                self._thread = threading.Thread(target=run_callbacks, args=(self.feed, weakref.ref(self)), name="axon-callbacks",
+                                                daemon=True)
                 self._thread.start()
-        return tag
+            return self._next
 
-    def _run(self) -> None:
-        while not self.feed.ended:
-            entry = self.feed.take()
-            if entry is None:
-                continue
-            tag, value = entry
-            try:
-                self._called[tag](value)
-            except Exception:  # pylint: disable=broad-except
-                log.exception("a callback has thrown")
+    def remove(self, *tags: int) -> None:
+        """Behind what the feed has for them by now."""
+        def forget(_: Any) -> None:
+            with self._lock:
+                for tag in tags:
+                    self._called.pop(tag, None)
+        self.feed.note(self.add(forget, lambda _: True))
+
+    def call(self, tag: int, value: Any) -> None:
+        with self._lock:
+            callback, last = self._called.get(tag, (None, None))
+        if callback is None or last is None:
+            return
+        try:
+            callback(value)
+        except Exception:  # pylint: disable=broad-except
+            log.exception("a callback has thrown")
+        if last(value):
+            with self._lock:
+                self._called.pop(tag, None)
+
+    def __len__(self) -> int:
+        with self._lock:
+            return len(self._called)
 
     def close(self) -> None:
         self.feed.close()
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             thread.join(1.0)
+
+
+def run_callbacks(feed: _native.Feed, place: "weakref.ref[Callbacks]") -> None:
+    while not feed.ended:
+        entry = feed.take()
+        if entry is None:
+            continue
+        callbacks = place()
+        if callbacks is None:
+            return
+        callbacks.call(*entry)
+        del callbacks, entry  # while it waits it keeps nothing
 
 
 def checked(callback: Callable[..., Any]) -> None:
@@ -207,7 +239,7 @@ class Task:
     def on_update(self, callback: Callable[[TaskReport], None]) -> None:
         """`callback` is called with the present report, then on every change, on the thread for callbacks."""
         checked(callback)
-        self._native.on_update(self._lab._callbacks.feed, self._lab._callbacks.add(callback))
+        self._native.on_update(self._lab._callbacks.feed, self._lab._callbacks.add(callback, is_final))
 
     def pause(self) -> None:
         """Refused with NOT_PAUSABLE if the service cannot be paused."""
@@ -259,7 +291,7 @@ class Run:
     def on_update(self, callback: Callable[[RunReport], None]) -> None:
         """`callback` is called with the present report, then on every change, on the thread for callbacks."""
         checked(callback)
-        self._native.on_update(self._lab._callbacks.feed, self._lab._callbacks.add(callback))
+        self._native.on_update(self._lab._callbacks.feed, self._lab._callbacks.add(callback, is_final))
 
     def pause(self) -> None:
         """Pauses every running step. Refused with NOT_PAUSABLE if one of them cannot be paused."""
@@ -307,18 +339,26 @@ def run_result(report: RunReport) -> RunReport:
                   report.reason.holder, report)
 
 
+def is_final(report: Any) -> bool:
+    final: bool = report.final
+    return final
+
+
 def updates(native: Any, lab: Lab) -> Iterator[Any]:
     """The reports of a task or a run until its end. None is left out; several may wait."""
     feed = lab._new_feed(0)
-    native.on_update(feed, 0)
-    while True:
-        entry = feed.take(1.0)
-        report = native.report() if entry is None else entry[1]
-        if entry is None and not report.final and not feed.ended:
-            continue
-        yield report
-        if report.final or entry is None:
-            return
+    try:
+        native.on_update(feed, 0)
+        while True:
+            entry = feed.take(1.0)
+            report = native.report() if entry is None else entry[1]
+            if entry is None and not report.final and not feed.ended:
+                continue
+            yield report
+            if report.final or entry is None:
+                return
+    finally:
+        feed.abandon()  # the library keeps it until the task has ended
 
 
 class Stream:
@@ -405,8 +445,9 @@ class Watch:
         return self._feed.dropped
 
     def close(self) -> None:
-        self._handle = None
-        self._feed.close()
+        self._handle = None  # a child of fork() leaves what it watches to its parent
+        if self._lab._native.of_this_process():
+            self._feed.close()
 
     def __enter__(self) -> Watch:
         return self
@@ -428,6 +469,7 @@ class Robot:
         self._native = native
         self._told: Dict[str, List[Callable[..., None]]] = {}
         self._told_lock = threading.Lock()
+        self._tags: List[int] = []
 
     @property
     def entity(self) -> Entity:
@@ -532,20 +574,29 @@ class Robot:
     def _on(self, what: str, callback: Callable[[Any], None]) -> None:
         checked(callback)
         with self._told_lock:
-            told = self._told.setdefault(what, [])
+            told, lock = self._told.setdefault(what, []), self._told_lock
             told.append(callback)
             if len(told) > 1:
                 return
 
             def tell_all(value: Any) -> None:
-                with self._told_lock:
+                with lock:
                     present = list(told)
                 for each in present:
                     try:
                         each(value)
                     except Exception:  # pylint: disable=broad-except
                         log.exception("a callback has thrown")
-            getattr(self._native, what)(self._lab._callbacks.feed, self._lab._callbacks.add(tell_all))
+            self._tags.append(self._lab._callbacks.add(tell_all))
+            getattr(self._native, what)(self._lab._callbacks.feed, self._tags[-1])
+
+    def _released(self) -> None:
+        """Nothing more is told."""
+        with self._told_lock:
+            tags, self._tags = self._tags, []
+            self._told = {}
+        if tags:
+            self._lab._callbacks.remove(*tags)
 
     @property
     def orphaned(self) -> bool:
@@ -592,12 +643,14 @@ class Robot:
     def release(self) -> None:
         """Ends the lease. A task that runs is stopped."""
         self._native.release()
+        self._released()
 
     def __enter__(self) -> Robot:
         return self
 
     def __exit__(self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]) -> None:
-        release_quietly(self._native)
+        if release_quietly(self._native):
+            self._released()
 
     def __dir__(self) -> List[str]:
         return [name for name in super().__dir__()]
@@ -618,7 +671,7 @@ class Robots(List[Robot]):
 
     def __exit__(self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]) -> None:
         for robot in self:
-            release_quietly(robot._native)
+            robot.__exit__(kind, error, trace)
 
     def stop(self, deadline: float = 1.0, standstill: float = 0.0) -> Receipts:
         """Stops all of them."""
@@ -645,20 +698,38 @@ def cancel_quietly(task: _native.Task) -> None:
         log.warning("the task was not cancelled: %s", refused)
 
 
-def release_quietly(native: _native.CheckOut) -> None:
-    """At the end of `with`: a lease that has ended already is what was wanted, and a lost connection ends it, too."""
+def release_quietly(native: _native.CheckOut) -> bool:
+    """At the end of `with`: a lease that has ended already is what was wanted, and a lost connection ends it, too. A child of
+    fork() leaves it to its parent. True if this call has released it."""
+    if not native.of_this_process():
+        return False
     try:
         native.release()
+        return True
     except Refused as refused:
         if refused.code not in (RefusalCode.NOT_HOLDER, RefusalCode.OLDER_LEASE, RefusalCode.REVOKED_LEASE, RefusalCode.WRONG_EPOCH):
             log.warning("not released: %s", refused)
+        return False
+
+
+def release_all(natives: List[_native.CheckOut]) -> None:
+    """What was granted when nobody waited for it any more is given back."""
+    for native in natives:
+        release_quietly(native)
+
+
+def close_feed(process: int, feed: _native.Feed) -> None:
+    """Of a connection that was forgotten. Those of its parent are nothing to a child of fork()."""
+    if os.getpid() == process:
+        feed.close()
 
 
 class Lab:
     """A connection to a server, and the entities behind it. Leaving `with` closes it: what it holds is released.
 
     The connection is made again when it is lost, and the leases are resumed. Any thread may call everything. Callbacks run
-    one at a time, in order, on one thread; they may call everything, too.
+    one at a time, in order, on one thread; they may call everything, too. A child of fork() cannot use it, and does not end
+    it; it connects itself.
     """
 
     def __init__(self, native: _native.Client) -> None:
@@ -666,11 +737,12 @@ class Lab:
         self._callbacks = Callbacks()
         self._feeds: "weakref.WeakSet[_native.Feed]" = weakref.WeakSet()
         self._queues: "weakref.WeakSet[queue.SimpleQueue[Optional[Event]]]" = weakref.WeakSet()
-        self._entity_told: List[Callable[[Presence, Entity], None]] = []
+        self._entity_told: List[EntityTold] = []
         self._connection_told: List[Callable[[bool, str], None]] = []
+        self._listens = False
         self._lock = threading.Lock()
         _open.add(self)
-        weakref.finalize(self, self._callbacks.feed.close)  # a connection that was forgotten ends its thread
+        weakref.finalize(self, close_feed, os.getpid(), self._callbacks.feed)  # a connection that was forgotten ends its thread
 
     def _new_feed(self, limit: int) -> _native.Feed:
         feed = _native.Feed(limit)
@@ -713,45 +785,73 @@ class Lab:
         """Waits until such an entity is there and ready, at most `timeout` seconds."""
         return self._native.wait_for(name, seconds("timeout", timeout) or 0.0, _native.GiveUp())
 
+    @property
+    def dropped(self) -> int:
+        """How many texts and raw messages were dropped because the callbacks did not return in time: 64 MiB of them wait."""
+        return self._callbacks.feed.dropped
+
     def on_entity(self, callback: Callable[[Presence, Entity], None]) -> None:
-        """Called when an entity has joined, changed or left, and at once for those that are there."""
+        """Called when an entity has joined, changed or left, and at once, as joined, for those that are there."""
         checked(callback)
-        with self._lock:
-            self._entity_told.append(callback)
-            if len(self._entity_told) == 1:
-                self._native.on_entity(self._callbacks.feed, self._callbacks.add(lambda told: self._tell(self._entity_told, told)))
+        self._listen()
+        place = weakref.ref(self)
+        told = EntityTold(callback)
+
+        def begin(_: Any) -> None:  # on the thread for callbacks, behind what was told before
+            lab = place()
+            if lab is not None:
+                there = lab.entities()
+                with lab._lock:
+                    lab._entity_told.append(told)
+                for entity in there:
+                    tell_each([told], Presence.JOINED, entity)
+        self._callbacks.feed.note(self._callbacks.add(begin, lambda _: True))
 
     def on_connection(self, callback: Callable[[bool, str], None]) -> None:
         """Called with (connected, reason) when the connection is lost, and when it is there again."""
         checked(callback)
+        self._listen()
         with self._lock:
             self._connection_told.append(callback)
-            if len(self._connection_told) == 1:
-                self._native.on_connection(self._callbacks.feed, self._callbacks.add(lambda told: self._tell(self._connection_told, told)))
 
-    def _tell(self, callbacks: List[Callable[[Any, Any], None]], told: Tuple[Any, Any]) -> None:
+    def _listen(self) -> None:
+        """Has entities and the connection told to _tell_entity and _tell_connection, which do not keep this object."""
+        native, place = self._native, weakref.WeakMethod(self._tell_entity)
+        connection = weakref.WeakMethod(self._tell_connection)
+        native.server()  # refused if it is closed, or in a child of fork(), where the lock may be held for ever
         with self._lock:
-            present = list(callbacks)
-        for callback in present:
-            try:
-                callback(*told)
-            except Exception:  # pylint: disable=broad-except
-                log.exception("a callback has thrown")
+            if self._listens:
+                return
+            self._listens = True
+            native.on_entity(self._callbacks.feed, self._callbacks.add(lambda told: tell_each([place()], *told)))
+            native.on_connection(self._callbacks.feed, self._callbacks.add(lambda told: tell_each([connection()], *told)))
+
+    def _tell_entity(self, presence: Presence, entity: Entity) -> None:
+        with self._lock:
+            present = list(self._entity_told)
+        self._tell_events(Event(Presence(presence).name.lower(), entity, entity.reason))
+        tell_each(present, presence, entity)
+
+    def _tell_connection(self, connected: bool, reason: str) -> None:
+        with self._lock:
+            present = list(self._connection_told)
+        self._tell_events(Event("connected" if connected else "lost", None, reason))
+        tell_each(present, connected, reason)
+
+    def _tell_events(self, event: Event) -> None:
+        with self._lock:
+            queues = list(self._queues)
+        for events in queues:
+            events.put(event)
 
     def events(self, timeout: Optional[float] = None) -> Iterator[Event]:
         """What happens from now on: entities that join, change and leave, the connection. Ends after `timeout` seconds
         without an event, and when the connection is closed."""
         limit = seconds("timeout", timeout)
+        self._listen()
         events: "queue.SimpleQueue[Optional[Event]]" = queue.SimpleQueue()
-        self._queues.add(events)
-        place = weakref.ref(events)  # which is gone when nobody iterates any more
-
-        def put(event: Event) -> None:
-            there = place()
-            if there is not None:
-                there.put(event)
-        self.on_entity(lambda presence, entity: put(Event(presence.name.lower(), entity, entity.reason)))
-        self.on_connection(lambda connected, reason: put(Event("connected" if connected else "lost", None, reason)))
+        with self._lock:
+            self._queues.add(events)  # until nobody iterates any more
 
         def take() -> Iterator[Event]:
             while True:
@@ -781,26 +881,38 @@ class Lab:
         """Checks all of the entities out, or none of them."""
         if isinstance(names, str):
             raise TypeError(f"a list of names was expected, and the name {names!r} was given; fix: checkout() takes one name")
-        return Robots(Robot(self, native) for native in self._native.check_out(
-            names_of(names), seconds("wait", wait), *self._waiting(on_waiting), ask, force, reason, hand_over or HandOverPolicy(),
-            _native.GiveUp()))
+        given = names_of(names)
+        return self._granted(lambda feed, tag, granted: self._native.check_out(
+            given, seconds("wait", wait), feed, tag, ask, force, reason, hand_over or HandOverPolicy(), _native.GiveUp(), granted), on_waiting)
 
     def checkout_query(self, query: str, *, wait: Optional[float] = None, force: bool = False, reason: str = "",
                        hand_over: Optional[HandOverPolicy] = None, on_waiting: Optional[Callable[[Waiting], None]] = None) -> Robots:
         """Checks out entities that match, among those that are free: "2 ROBOT/MOBILE + 1 ROBOT/STATIONARY", "ROBOT with Driving"."""
-        return Robots(Robot(self, native) for native in self._native.check_out_query(
-            query, seconds("wait", wait), *self._waiting(on_waiting), False, force, reason, hand_over or HandOverPolicy(),
-            _native.GiveUp()))
-
-    def _waiting(self, callback: Optional[Callable[[Waiting], None]]) -> Tuple[Optional[_native.Feed], int]:
-        if callback is None:
-            return None, 0
-        checked(callback)
-        return self._callbacks.feed, self._callbacks.add(callback)
+        return self._granted(lambda feed, tag, granted: self._native.check_out_query(
+            query, seconds("wait", wait), feed, tag, False, force, reason, hand_over or HandOverPolicy(), _native.GiveUp(), granted),
+            on_waiting)
 
     def resume(self, ticket: str) -> Robot:
         """Takes over the lease whose Robot.ticket() came from another process. If that is still alive, the robot is stopped."""
-        return Robot(self, self._native.resume(ticket, _native.GiveUp()))
+        return self._granted(lambda feed, tag, granted: self._native.resume(ticket, _native.GiveUp(), granted), None)[0]
+
+    def _granted(self, ask: Callable[[Optional[_native.Feed], int, List[_native.CheckOut]], None],
+                 on_waiting: Optional[Callable[[Waiting], None]]) -> Robots:
+        """What `ask` puts into its list. If Ctrl-C comes before the caller has it, it is given back."""
+        feed, tag = None, 0
+        if on_waiting is not None:
+            checked(on_waiting)
+            feed, tag = self._callbacks.feed, self._callbacks.add(on_waiting)
+        granted: List[_native.CheckOut] = []
+        try:
+            ask(feed, tag, granted)
+            return Robots(Robot(self, native) for native in granted)
+        except BaseException:
+            release_all(granted)
+            raise
+        finally:
+            if tag:
+                self._callbacks.remove(tag)
 
     def held(self) -> Robots:
         """The entities that this client holds now."""
@@ -863,7 +975,10 @@ class Lab:
         return self._native.run_history(names_of(entities), most)
 
     def close(self) -> None:
-        """Releases what it holds and ends the connection. Iterations over streams and events end."""
+        """Releases what it holds and ends the connection. Iterations over streams and events end. In a child of fork() it does
+        nothing: the connection is the parent's."""
+        if not self._native.of_this_process():
+            return
         self._native.close()
         for feed in list(self._feeds):
             feed.close()
@@ -882,6 +997,34 @@ class Lab:
 
     def _repr_html_(self) -> str:
         return self.entities()._repr_html_()
+
+
+class EntityTold:
+    """A callback for entities, from the moment at which it was told which ones are there. An entity that it knows changes, and
+    does not join again; of one that it does not know it is not told that it has left."""
+
+    def __init__(self, callback: Callable[[Presence, Entity], None]) -> None:
+        self._callback = callback
+        self._known: Set[str] = set()
+
+    def __call__(self, presence: Presence, entity: Entity) -> None:
+        known = entity.id in self._known
+        if presence == Presence.LEFT:
+            self._known.discard(entity.id)
+            if known:
+                self._callback(presence, entity)
+        else:
+            self._known.add(entity.id)
+            self._callback(Presence.CHANGED if known else Presence.JOINED, entity)
+
+
+def tell_each(callbacks: Sequence[Optional[Callable[..., None]]], *told: Any) -> None:
+    for callback in callbacks:
+        try:
+            if callback is not None:
+                callback(*told)
+        except Exception:  # pylint: disable=broad-except
+            log.exception("a callback has thrown")
 
 
 def global_service(offered: GlobalServices, name: str) -> GlobalService:
@@ -914,6 +1057,8 @@ _open: "weakref.WeakSet[Lab]" = weakref.WeakSet()
 def _at_exit() -> None:
     """Releases what is held, and lets no native thread ask for the interpreter while it ends."""
     for lab in list(_open):
+        if not lab._native.of_this_process():
+            continue  # a child of fork() has these from its parent
         for feed in [*lab._feeds, lab._callbacks.feed]:
             feed.close()
     _native.close_all()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import re
 import sys
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
@@ -99,6 +100,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
     except axon.Refused as refused:
         print(refused, file=sys.stderr)
         return 3
+    os.environ.pop("AXON_PASSWORD", None)  # not for the programs that are started from the prompt
     with lab:
         there = ", ".join(entity.name for entity in lab.entities()) or "no entity"
         config.Completer.use_jedi = False

@@ -21,7 +21,8 @@ def drawing(module: str) -> Any:
 
 
 class Sample:
-    """One sample of a stream. Its arrays look into the memory in which it arrived; they cannot be written."""
+    """One sample of a stream. It is read when it is first looked into; its arrays look into what was read, and cannot be
+    written."""
 
     __slots__ = ("_native",)
 

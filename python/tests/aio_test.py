@@ -170,3 +170,56 @@ def test_what_never_comes_is_told_in_time(laboratory):
     run(work())
     with pytest.raises(axon.Refused):
         run(axon.aio.connect("127.0.0.1:1").__aenter__())
+
+
+def test_several_may_iterate_over_the_same(laboratory):
+    entity = laboratory.add()
+
+    async def work():
+        async with axon.aio.connect(laboratory.server, name="client1@lab") as lab:
+            first, second = lab.events(), lab.events()
+            robot = await lab.checkout("PeopleBot")
+            texts, others = robot.texts(), robot.texts()
+            entity.do("text", text="one")
+            assert [await texts.__anext__(), await others.__anext__()] == ["one", "one"]
+            await texts.aclose()
+            entity.do("text", text="two")
+            assert await others.__anext__() == "two"
+            for events in (first, second):
+                async for event in events:
+                    if event.kind == "changed" and event.entity.holder.name == "client1@lab":
+                        break
+    run(work())
+
+
+def test_a_result_that_has_come_when_the_task_is_cancelled_is_handed_over():
+    """Between the answer and the coroutine that waits for it, the loop runs others; one of them cancels it."""
+    async def work():
+        given_back = threading.Event()
+        came = threading.Event()
+        waiting = asyncio.ensure_future(axon.aio.in_thread(lambda: came.wait(10), unwanted=lambda _: given_back.set()))
+        await asyncio.sleep(0)
+        answer = waiting._fut_waiter
+        answer.add_done_callback(lambda _: waiting.cancel())
+        came.set()
+        with pytest.raises(asyncio.CancelledError):
+            await waiting
+        assert answer.done() and not answer.cancelled()
+        await until(given_back.is_set)
+    run(work())
+
+
+def test_leaving_robots_releases_all_of_them_also_when_cancelled(laboratory):
+    for number in range(3):
+        laboratory.add(f"Robot{number}")
+
+    async def work():
+        async with axon.aio.connect(laboratory.server) as lab, axon.aio.connect(laboratory.server) as other:
+            robots = await lab.checkout_all([f"Robot{number}" for number in range(3)])
+            leaving = asyncio.ensure_future(robots.__aexit__(None, None, None))
+            await asyncio.sleep(0)
+            leaving.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await leaving
+            await until(lambda: not any(entity.holder.id for entity in other.entities()))
+    run(work())

@@ -73,9 +73,12 @@ def test_pictures_at_thirty_hertz_cost_little(two_cameras):
         eye.take(5)
         before, begin = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
         samples = eye.take(90)
+        bright = sum(int(sample.data[0, 0, 0]) for sample in samples)  # each is read, as a program does
         took = time.monotonic() - begin
         after = resource.getrusage(resource.RUSAGE_SELF)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     print(f"\n640 x 480 pictures: {90 / took:.1f} per second, {100 * used / took:.0f} % of a core")
     assert samples[-1].sequence - samples[0].sequence == 89, "none was dropped"
+    assert bright == sum(sample.sequence % 256 for sample in samples)
     assert 90 / took > 28
+    assert used / took < 0.3, "of a core"

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The interpreter and the native threads: who waits for whom, what a blocked interpreter loses, and a clean end."""
+import gc
 import os
 import signal
 import subprocess
@@ -153,6 +154,7 @@ def sleeps(child):
     "[event for event in lab.events()]",
     "lab.drill('PeopleBot', count=600, period=0.1)",
     "axon.connect(sys.argv[1], name='other').checkout('PeopleBot', wait=60)",
+    "[robot.send_raw(b'x' * 1_000_000, wait=60) for _ in iter(int, 1)]",
 ])
 def test_a_keyboard_interrupt_ends_every_wait(laboratory, robot, wait):
     child = program(laboratory, WAITS.format(wait=wait))
@@ -200,13 +202,22 @@ def test_the_interpreter_may_be_blocked_while_news_arrive(laboratory, robot, cli
     wait_until(lambda: len(texts) == 20)
 
 
-def test_connections_may_be_forgotten(laboratory, robot):
-    for _ in range(5):
+def test_connections_may_be_forgotten(laboratory, robot, client):
+    """Also those with callbacks, which know their connection."""
+    other = client()
+    for callbacks in (False, True, True):
         lab = axon.connect(laboratory.server)
         held = lab.checkout("PeopleBot")
+        if callbacks:
+            told = threading.Event()
+            held.on_text(lambda _, lab=lab: lab.entities())
+            lab.on_connection(lambda *_, lab=lab: lab.entities())
+            lab.on_entity(lambda *_, lab=lab, told=told: (lab.entities(), told.set()))
+            assert told.wait(10)
         del lab, held
-        import gc
         gc.collect()
+        wait_until(lambda: not other.find("PeopleBot").holder.id, "released")
+    wait_until(lambda: not any(thread.name == "axon-callbacks" for thread in threading.enumerate()), "the threads have ended")
 
 
 def test_a_child_of_fork_leaves_the_robot_alone(laboratory, robot, client):
@@ -218,3 +229,144 @@ def test_a_child_of_fork_leaves_the_robot_alone(laboratory, robot, client):
     os.waitpid(child, 0)
     held.send_text("still here")
     robot.do("expect_text")
+
+
+@pytest.mark.parametrize("end", [
+    "sys.exit(0)",
+    "del lab, robot, task, update; gc.collect(); sys.exit(0)",
+    "with lab, robot: sys.exit(0)",
+    "watch.close(); lab.close(); sys.exit(0)",
+    "for call in calls: refused(call)\n    sys.exit(0)",
+    "mine = axon.connect(sys.argv[1]); mine.wait_for('PeopleBot'); mine.on_entity(print); mine.close(); sys.exit(0)",
+    "mine = axon.connect(sys.argv[1]); mine.wait_for('PeopleBot'); sys.exit(0)",
+])
+def test_a_child_of_fork_can_neither_use_nor_end_the_connection(laboratory, robot, client, end):
+    child = program(laboratory, f"""
+import gc
+robot.on_text(lambda text: print(text, flush=True))
+watch = robot.scan.watch()
+calls = [robot.stop, robot.release, lambda: robot.run("Drive", Distance=1), task.cancel, lambda: task.report, lab.entities,
+         lambda: lab.checkout("PeopleBot"), lab.stop, lambda: lab.on_entity(print), lambda: robot.send_text("from the child")]
+def refused(call):
+    try:
+        call()
+    except axon.Refused as error:
+        assert error.code == axon.RefusalCode.NOT_CONNECTED and f"process {{os.getppid()}}" in error.message, error
+        return
+    raise AssertionError(call)
+child = os.fork()
+if child == 0:
+    os.dup2(2, 1)
+    {end}
+_, status = os.waitpid(child, 0)
+print("ready", flush=True)
+print(status, task.report.state.name, lab.connected, flush=True)
+sys.stdin.readline()
+""")
+    assert child.stdout.readline() == "0 RUNNING True\n", child.stderr.read()
+    robot.do("text", text="the parent hears")
+    assert child.stdout.readline() == "the parent hears\n"
+    other = client()
+    other.wait_for("PeopleBot", 5)
+    assert other.find("PeopleBot").state == axon.EntityState.BUSY
+    child.stdin.write("\n")
+    ends(child)
+    robot.do("expect_stop")
+
+
+@pytest.mark.parametrize("ask", ["lab.checkout('PeopleBot')", "lab.checkout_query('1 ROBOT')", "lab.resume(ticket)"])
+def test_what_is_granted_after_an_interrupt_is_given_back(laboratory, robot, client, ask):
+    """The servers answer when the program waits no more, and it goes on: nobody in it has the robot, so nobody holds it."""
+    child = program(laboratory, f"""
+        ticket = robot.ticket()
+        if "resume" not in {ask!r}:
+            robot.release()
+        else:
+            lab.close()
+            lab = axon.connect(sys.argv[1])
+        try:
+            print("ready", flush=True)
+            sys.stdin.readline()
+            {ask}
+        except KeyboardInterrupt:
+            print("interrupted", flush=True)
+            sys.stdin.readline()
+        print(len(lab.held()))
+        """)
+    other = client()
+    other.wait_for("PeopleBot", 5)
+    laboratory.child.send_signal(signal.SIGSTOP)
+    try:
+        child.stdin.write("\n")
+        child.stdin.flush()
+        sleeps(child)
+        child.send_signal(signal.SIGINT)
+        assert child.stdout.readline() == "interrupted\n", child.stderr.read()
+    finally:
+        laboratory.child.send_signal(signal.SIGCONT)
+
+    def taken():
+        try:
+            return other.checkout("PeopleBot", wait=5)
+        except axon.Refused:
+            return None
+    held = wait_until(taken, "free", 20)
+    held.release()
+    child.stdin.write("\n")
+    out, _ = ends(child)
+    assert out == "0\n"
+
+
+def test_what_nobody_reads_any_more_is_not_kept(laboratory, robot, client):
+    robot.on("Drive", *[["progress", number / 100] for number in range(100)], ["succeed"])
+    lab = client()
+    held = lab.checkout("PeopleBot")
+    task = held.start("Drive", Distance=1)
+    for _ in task:
+        break
+    gc.collect()
+    assert all(feed.ended for feed in lab._feeds)
+    task.result(10)
+    called = []
+    task.on_update(called.append)
+    held.start("Drive", Distance=1).on_update(called.append)
+    wait_until(lambda: sum(report.final for report in called) == 2, "told")
+    wait_until(lambda: len(lab._callbacks) == 0, "no callback is kept when its task has ended")
+    held.on_text(called.append)
+    assert len(lab._callbacks) == 1
+    held.release()
+    wait_until(lambda: len(lab._callbacks) == 0, "no callback is kept when its robot was released")
+
+
+def test_callbacks_that_do_not_return_keep_a_bounded_number_of_bytes(laboratory, robot, client):
+    lab = client()
+    lab._callbacks.feed = axon._native.Feed(0, 10_000)
+    held = lab.checkout("PeopleBot")
+    go_on, texts = threading.Event(), []
+    held.on_text(lambda text: (go_on.wait(20), texts.append(text)))
+    task = held.start("Drive", Distance=1)
+    states = []
+    task.on_update(lambda report: states.append(report.state))
+    for number in range(100):
+        robot.do("text", text=f"{number:02}" + "x" * 998)
+    wait_until(lambda: lab.dropped >= 80, "dropped")
+    held.stop()
+    task.wait(5)
+    go_on.set()
+    wait_until(lambda: states and states[-1] == axon.TaskState.STOPPED, "what is no data is not dropped")
+    assert len(texts) + lab.dropped == 100 and texts[-1].startswith("99")
+
+
+def test_on_entity_tells_at_once_who_is_there(laboratory, client):
+    laboratory.add("PeopleBot")
+    lab = client()
+    lab.wait_for("PeopleBot", 5)
+    told, again = [], []
+    lab.on_entity(lambda presence, entity: told.append((presence, entity.name)))
+    wait_until(lambda: told == [(axon.Presence.JOINED, "PeopleBot")])
+    laboratory.add("Second")
+    lab.wait_for("Second", 5)
+    wait_until(lambda: (axon.Presence.JOINED, "Second") in told)
+    lab.on_entity(lambda presence, entity: again.append((presence, entity.name)))
+    wait_until(lambda: sorted(again[:2], key=str) == [(axon.Presence.JOINED, "PeopleBot"), (axon.Presence.JOINED, "Second")])
+    assert [name for presence, name in told if presence == axon.Presence.JOINED] == ["PeopleBot", "Second"]

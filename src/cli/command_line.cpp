@@ -382,7 +382,8 @@ Parsed parseCommandLine(std::vector<std::string> words,
     while (!sub->get_subcommands().empty()) sub = sub->get_subcommands().front();
     line.verb = findVerb(nameOf(*sub));
     auto wrong_option = readMaybeDurations(*sub, *line.verb, line.args);
-    const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor";
+    const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor" ||
+                          std::string_view(line.verb->name) == "shell";
     const bool finds_server = connects || std::string_view(line.verb->name) == "agent" ||
                               std::string_view(line.verb->name) == "console";
     if (wrong_option.empty() && !line.settings.config.empty() && finds_server) {

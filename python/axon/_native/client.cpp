@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include <unistd.h>
+
 #include <atomic>
 #include <iterator>
 
@@ -38,41 +40,83 @@ auto released(Call call) {
     return call();
 }
 
+/// A child of fork() has a copy of a connection, but none of its threads, and the sockets are its parent's,
+/// too. What it did with them would be done in the parent's name, or wait for ever. So every call is refused
+/// there, and what belongs to the parent is left as it is, not destroyed.
+void mustBe(pid_t process) {
+    if (::getpid() != process)
+        throw RefusedError{
+            {RefusalCode::NotConnected,
+             "This connection belongs to process " + std::to_string(process) +
+                 ", of which this one is a fork; fix: connect in this process, or start processes "
+                 "by multiprocessing.get_context(\"spawn\")",
+             {}}};
+}
+
+/// A handle of the client library, and the process to which it belongs.
+template <class Handle>
+class OfProcess {
+  public:
+    explicit OfProcess(Handle handle) : handle_(new Handle(std::move(handle))) {}
+    OfProcess(OfProcess&&) noexcept = default;
+    OfProcess& operator=(OfProcess&&) = delete;
+    ~OfProcess() {
+        if (!isHere()) (void)handle_.release();
+    }
+    bool isHere() const { return ::getpid() == process_; }
+    const Handle& get() const { return mustBe(process_), *handle_; }
+    const Handle* operator->() const { return &get(); }
+
+  private:
+    const pid_t process_ = ::getpid();
+    std::unique_ptr<Handle> handle_;
+};
+using OwnTask = OfProcess<Task>;
+using OwnRun = OfProcess<Run>;
+using OwnCheckOut = OfProcess<CheckOut>;
+using OwnWatch = OfProcess<std::shared_ptr<void>>;
+
 using FeedPtr = std::shared_ptr<Feed>;
 
 /// What puts `(tag, value)` into the feed.
 template <class T>
 auto into(FeedPtr feed, int tag) {
     return [feed = std::move(feed), tag](const T& value) {
-        feed->push([tag, value] { return py::make_tuple(tag, value); });
+        feed->push([value](int to) { return py::make_tuple(to, value); }, tag);
     };
 }
 auto textInto(FeedPtr feed, int tag) {
     return [feed = std::move(feed), tag](Text value) {
-        feed->push([tag, value] { return py::make_tuple(tag, text(value)); });
+        feed->push([value](int to) { return py::make_tuple(to, text(value)); }, tag);
     };
 }
+/// How much an entry takes besides the bytes in it; a guess.
+constexpr std::size_t kEntry = 128;
 
 struct NativeClient {
+    const pid_t process = ::getpid();
     std::shared_ptr<KeepRunning> keep_running;  // outlives the client, whose heartbeats ask it
     std::shared_ptr<std::atomic<bool>> present = std::make_shared<std::atomic<bool>>(true);
     std::shared_ptr<Client> client;
 
+    bool isHere() const { return ::getpid() == process; }
     std::shared_ptr<Client> get() const {
+        mustBe(process);
         if (!client)
             throw RefusedError{
                 {RefusalCode::NotConnected, "This connection was closed; fix: connect again", {}}};
         return client;
     }
-    /// Without the GIL.
+    /// Without the GIL. Nothing in a child of fork().
     void close() {
+        if (!isHere()) return;
         if (client) client->close();
         if (keep_running) keep_running->end();
     }
 };
 
-/// The connections that are open, so that the end of the interpreter closes those that the program has left
-/// open. A connection that was forgotten stays in memory until then, closed.
+/// The connections that the program has not forgotten, so that the end of the interpreter closes them. One
+/// that was forgotten has closed itself.
 class Connections {
   public:
     void add(const std::shared_ptr<NativeClient>& connection) {
@@ -107,6 +151,7 @@ void closeAll() {
 
 std::shared_ptr<NativeClient> connectTo(Options options, std::optional<Seconds> keep_running) {
     auto connection = std::shared_ptr<NativeClient>(new NativeClient, [](NativeClient* gone) {
+        if (!gone->isHere()) return;
         const auto destroy = [gone] {
             gone->close();
             delete gone;
@@ -175,9 +220,33 @@ std::vector<Argument> argumentsOf(
     return out;
 }
 
+/// A call of the library that waits. `call` gets the client or the handle, and owns the rest. What comes when
+/// nobody waits for it any more goes to `unwanted`.
+template <class Call, class Unwanted = NotMissed>
+auto waits(const NativeClient& self, GiveUp& give_up, Call call, Unwanted unwanted = {}) {
+    return must(interruptibly(
+        give_up, [client = self.get(), call] { return call(*client); }, unwanted));
+}
+template <class Call, class Unwanted = NotMissed>
+auto waits(const NativeClient& self, Call call, Unwanted unwanted = {}) {
+    GiveUp never;
+    return waits(self, never, call, unwanted);
+}
+template <class Handle, class Call>
+auto waits(const OfProcess<Handle>& handle, Call call) {
+    GiveUp never;
+    return must(interruptibly(never, [handle = handle.get(), call] { return call(handle); }));
+}
+/// A call of the client that waits for no answer of a server.
+template <class Call>
+auto atOnce(const NativeClient& self, Call call) {
+    const auto client = self.get();
+    return released([&] { return call(*client); });
+}
+
 /// Waits for the end of a task or a run, or until `time` has passed; looks for KeyboardInterrupt meanwhile.
 template <class Handle>
-auto waitFor(const Handle& handle, std::optional<Seconds> time) {
+auto waitFor(const OfProcess<Handle>& handle, std::optional<Seconds> time) {
     const auto begin = std::chrono::steady_clock::now();
     while (true) {
         auto slice = time ? std::optional(*time - (std::chrono::steady_clock::now() - begin)) : std::nullopt;
@@ -187,181 +256,226 @@ auto waitFor(const Handle& handle, std::optional<Seconds> time) {
             slice = kSlice;
             last = false;
         }
-        auto report = released([&] { return handle.wait(slice); });
+        auto report = released([&] { return handle->wait(slice); });
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
         if (isFinal(report.state) || last) return report;
     }
 }
 
 template <class Handle, class Report>
-void bindHandle(py::class_<Handle>& bound) {
-    bound.def_property_readonly("id", [](const Handle& handle) { return handle.id(); })
-        .def("report", [](const Handle& handle) { return released([&] { return handle.report(); }); })
+void bindHandle(py::class_<OfProcess<Handle>>& bound) {
+    using Own = OfProcess<Handle>;
+    bound.def_property_readonly("id", [](const Own& handle) { return handle->id(); })
+        .def("report", [](const Own& handle) { return released([&] { return handle->report(); }); })
         .def("wait", &waitFor<Handle>, py::arg("time") = py::none())
-        .def("on_update", [](const Handle& handle, const FeedPtr& feed,
-                             int tag) { released([&] { handle.onUpdate(into<Report>(feed, tag)); }); })
-        .def("pause", [](const Handle& handle) { must(released([&] { return handle.pause(); })); })
-        .def("resume", [](const Handle& handle) { must(released([&] { return handle.resume(); })); })
-        .def("cancel", [](const Handle& handle) { must(released([&] { return handle.cancel(); })); });
+        .def("on_update", [](const Own& handle, const FeedPtr& feed,
+                             int tag) { released([&] { handle->onUpdate(into<Report>(feed, tag)); }); })
+        .def("pause", [](const Own& handle) { waits(handle, [](const Handle& h) { return h.pause(); }); })
+        .def("resume", [](const Own& handle) { waits(handle, [](const Handle& h) { return h.resume(); }); })
+        .def("cancel", [](const Own& handle) { waits(handle, [](const Handle& h) { return h.cancel(); }); });
 }
 
 void bindCheckOut(py::module_& module) {
-    py::class_<CheckOut> bound(module, "CheckOut");
-    bound.def("entity", [](const CheckOut& held) { return released([&] { return held.entity(); }); })
-        .def("services", [](const CheckOut& held) { return released([&] { return held.services(); }); })
-        .def("service", [](const CheckOut& held,
-                           Text name) { return must(released([&] { return held.service(name); })); })
+    py::class_<OwnCheckOut> bound(module, "CheckOut");
+    bound.def("of_this_process", &OwnCheckOut::isHere)
+        .def("entity", [](const OwnCheckOut& held) { return released([&] { return held->entity(); }); })
+        .def("services", [](const OwnCheckOut& held) { return released([&] { return held->services(); }); })
+        .def("service", [](const OwnCheckOut& held,
+                           Text name) { return must(released([&] { return held->service(name); })); })
         .def("set",
-             [](const CheckOut& held, Text service, Text name, const std::vector<Value>& values, Text units) {
-                 must(released([&] { return held.set(service, {name, values, units}); }));
+             [](const OwnCheckOut& held, Text service, Text name, const std::vector<Value>& values,
+                Text units) {
+                 waits(held, [service, argument = Argument{name, values, units}](const CheckOut& c) {
+                     return c.set(service, argument);
+                 });
              })
         .def("upload",
-             [](const CheckOut& held, Text service, Text resource, Text file, const py::object& progress,
+             [](const OwnCheckOut& held, Text service, Text resource, Text file, const py::object& progress,
                 GiveUp& give_up) {
                  UploadProgress told{progress, give_up, {}};
                  const auto result = released(
-                     [&] { return held.upload(service, resource, file, std::ref(told), give_up.token()); });
+                     [&] { return held->upload(service, resource, file, std::ref(told), give_up.token()); });
                  if (told.thrown) throw py::error_already_set(std::move(*told.thrown));
                  must(result);
              })
         .def("run",
-             [](const CheckOut& held, Text service,
+             [](const OwnCheckOut& held, Text service,
                 const std::vector<std::tuple<std::string, std::vector<Value>, std::string>>& arguments,
                 Seconds not_after) {
-                 return released([&] { return held.run(service, argumentsOf(arguments), not_after); });
+                 return OwnTask(
+                     released([&] { return held->run(service, argumentsOf(arguments), not_after); }));
              })
         .def("send_text",
-             [](const CheckOut& held, Text said) { must(released([&] { return held.sendText(said); })); })
-        .def("send_raw",
-             [](const CheckOut& held, const py::bytes& bytes, Seconds wait) {
-                 const std::string copy = bytes;
-                 must(released([&] { return held.sendRaw(copy, wait); }));
+             [](const OwnCheckOut& held, Text said) {
+                 waits(held, [said](const CheckOut& c) { return c.sendText(said); });
              })
-        .def("on_text", [](const CheckOut& held, const FeedPtr& feed,
-                           int tag) { released([&] { held.onText(textInto(feed, tag)); }); })
-        .def("on_raw",
-             [](const CheckOut& held, const FeedPtr& feed, int tag) {
+        .def("send_raw",
+             [](const OwnCheckOut& held, const py::bytes& bytes, Seconds wait) {
+                 const std::string copy = bytes;
+                 waits(held, [copy, wait](const CheckOut& c) { return c.sendRaw(copy, wait); });
+             })
+        .def("on_text",
+             [](const OwnCheckOut& held, const FeedPtr& feed, int tag) {
                  released([&] {
-                     held.onRaw([feed, tag](Text raw) {
-                         feed->push([tag, raw] { return py::make_tuple(tag, py::bytes(raw)); });
+                     held->onText([feed, tag](Text said) {
+                         feed->push([said](int to) { return py::make_tuple(to, text(said)); }, tag,
+                                    said.size() + kEntry);
+                     });
+                 });
+             })
+        .def("on_raw",
+             [](const OwnCheckOut& held, const FeedPtr& feed, int tag) {
+                 released([&] {
+                     held->onRaw([feed, tag](Text raw) {
+                         feed->push([raw](int to) { return py::make_tuple(to, py::bytes(raw)); }, tag,
+                                    raw.size() + kEntry);
                      });
                  });
              })
         .def("on_service_changed",
-             [](const CheckOut& held, const FeedPtr& feed, int tag) {
-                 released([&] { held.onServiceChanged(into<Service>(feed, tag)); });
+             [](const OwnCheckOut& held, const FeedPtr& feed, int tag) {
+                 released([&] { held->onServiceChanged(into<Service>(feed, tag)); });
              })
-        .def("on_lost", [](const CheckOut& held, const FeedPtr& feed,
-                           int tag) { released([&] { held.onLost(into<Refusal>(feed, tag)); }); })
-        .def("on_orphaned", [](const CheckOut& held, const FeedPtr& feed,
-                               int tag) { released([&] { held.onOrphaned(textInto(feed, tag)); }); })
+        .def("on_lost", [](const OwnCheckOut& held, const FeedPtr& feed,
+                           int tag) { released([&] { held->onLost(into<Refusal>(feed, tag)); }); })
+        .def("on_orphaned", [](const OwnCheckOut& held, const FeedPtr& feed,
+                               int tag) { released([&] { held->onOrphaned(textInto(feed, tag)); }); })
         .def("on_resumed",
-             [](const CheckOut& held, const FeedPtr& feed, int tag) {
+             [](const OwnCheckOut& held, const FeedPtr& feed, int tag) {
                  released([&] {
-                     held.onResumed(
-                         [feed, tag] { feed->push([tag] { return py::make_tuple(tag, py::none()); }); });
+                     held->onResumed([feed, tag] {
+                         feed->push([](int to) { return py::make_tuple(to, py::none()); }, tag);
+                     });
                  });
              })
         .def("on_hand_over_request",
-             [](const CheckOut& held, const FeedPtr& feed, int tag) {
-                 released([&] { held.onHandOverRequest(into<HandOverRequest>(feed, tag)); });
+             [](const OwnCheckOut& held, const FeedPtr& feed, int tag) {
+                 released([&] { held->onHandOverRequest(into<HandOverRequest>(feed, tag)); });
              })
-        .def("orphaned", [](const CheckOut& held) { return released([&] { return held.orphaned(); }); })
-        .def("direct", [](const CheckOut& held) { return released([&] { return held.direct(); }); })
+        .def("orphaned", [](const OwnCheckOut& held) { return released([&] { return held->orphaned(); }); })
+        .def("direct", [](const OwnCheckOut& held) { return released([&] { return held->direct(); }); })
         .def("hand_over_request",
-             [](const CheckOut& held) { return released([&] { return held.handOverRequest(); }); })
+             [](const OwnCheckOut& held) { return released([&] { return held->handOverRequest(); }); })
         .def("answer_hand_over",
-             [](const CheckOut& held, bool accept, Text reason) {
-                 must(released([&] { return held.answerHandOver(accept, reason); }));
+             [](const OwnCheckOut& held, bool accept, Text reason) {
+                 waits(held,
+                       [accept, reason](const CheckOut& c) { return c.answerHandOver(accept, reason); });
              })
         .def("set_hand_over_policy",
-             [](const CheckOut& held, const HandOverPolicy& policy) {
-                 must(released([&] { return held.setHandOverPolicy(policy); }));
+             [](const OwnCheckOut& held, const HandOverPolicy& policy) {
+                 waits(held, [policy](const CheckOut& c) { return c.setHandOverPolicy(policy); });
              })
-        .def("ticket", [](const CheckOut& held) { return released([&] { return held.ticket(); }); })
-        .def("reset", [](const CheckOut& held) { return must(released([&] { return held.reset(); })); })
-        .def("clear", [](const CheckOut& held) { return must(released([&] { return held.clear(); })); })
-        .def("release", [](const CheckOut& held) { must(released([&] { return held.release(); })); });
+        .def("ticket", [](const OwnCheckOut& held) { return released([&] { return held->ticket(); }); })
+        .def("reset",
+             [](const OwnCheckOut& held) { return waits(held, [](const CheckOut& c) { return c.reset(); }); })
+        .def("clear",
+             [](const OwnCheckOut& held) { return waits(held, [](const CheckOut& c) { return c.clear(); }); })
+        .def("release",
+             [](const OwnCheckOut& held) { waits(held, [](const CheckOut& c) { return c.release(); }); });
 }
 
-/// A call of the client that waits. `call` gets the client and owns the rest.
-template <class Call>
-auto waits(const NativeClient& self, GiveUp& give_up, Call call) {
-    return must(interruptibly(give_up, [client = self.get(), call] { return call(*client); }));
+/// Puts the check-outs into a list that the caller has already: KeyboardInterrupt may come before it has what
+/// a call returns, and then it knows what to release.
+void give(py::list granted, std::vector<CheckOut> all) {
+    for (auto& one : all) granted.append(OwnCheckOut(std::move(one)));
 }
-template <class Call>
-auto quick(const NativeClient& self, Call call) {
-    const auto client = self.get();
-    return released([&] { return call(*client); });
+
+/// A grant that came when nobody waited for it any more is given back.
+void releaseAll(Result<std::vector<CheckOut>>& granted) {
+    if (!granted) return;
+    for (const auto& one : granted.value()) (void)one.release();
 }
 
 void bindConnection(py::module_& module) {
     py::class_<NativeClient, std::shared_ptr<NativeClient>> bound(module, "Client");
-    bound
+    bound.def("of_this_process", &NativeClient::isHere)
         .def("connected",
              [](const NativeClient& self) {
-                 return self.client && quick(self, [](Client& c) { return c.connected(); });
+                 return self.isHere() && self.client && atOnce(self, [](Client& c) { return c.connected(); });
              })
-        .def("self", [](const NativeClient& self) { return quick(self, [](Client& c) { return c.self(); }); })
+        .def("self",
+             [](const NativeClient& self) { return atOnce(self, [](Client& c) { return c.self(); }); })
         .def("server",
-             [](const NativeClient& self) { return quick(self, [](Client& c) { return c.server(); }); })
+             [](const NativeClient& self) { return atOnce(self, [](Client& c) { return c.server(); }); })
         .def("entities",
              [](const NativeClient& self, bool all) {
-                 return quick(self, [&](Client& c) { return c.entities(all ? Listed::All : Listed::Ready); });
+                 return atOnce(self,
+                               [&](Client& c) { return c.entities(all ? Listed::All : Listed::Ready); });
              })
         .def("find", [](const NativeClient& self,
-                        Text name) { return must(quick(self, [&](Client& c) { return c.find(name); })); })
+                        Text name) { return must(atOnce(self, [&](Client& c) { return c.find(name); })); })
         .def("wait_for",
              [](const NativeClient& self, std::string name, Seconds time, GiveUp& give_up) {
                  return waits(self, give_up, [name, time](Client& c) { return c.waitFor(name, time); });
              })
         .def("on_entity",
              [](const NativeClient& self, const FeedPtr& feed, int tag) {
-                 quick(self, [&](Client& c) {
+                 atOnce(self, [&](Client& c) {
                      c.onEntity([feed, tag](Presence presence, const Entity& entity) {
-                         feed->push([tag, presence, entity] {
-                             return py::make_tuple(tag, py::make_tuple(presence, entity));
-                         });
+                         feed->push(
+                             [presence, entity](int to) {
+                                 return py::make_tuple(to, py::make_tuple(presence, entity));
+                             },
+                             tag);
                      });
                  });
              })
         .def("on_connection",
              [](const NativeClient& self, const FeedPtr& feed, int tag) {
-                 quick(self, [&](Client& c) {
+                 atOnce(self, [&](Client& c) {
                      c.onConnection([feed, tag](bool connected, Text reason) {
-                         feed->push([tag, connected, reason] {
-                             return py::make_tuple(tag, py::make_tuple(connected, text(reason)));
-                         });
+                         feed->push(
+                             [connected, reason](int to) {
+                                 return py::make_tuple(to, py::make_tuple(connected, text(reason)));
+                             },
+                             tag);
                      });
                  });
              })
         .def("check_out",
              [](const NativeClient& self, std::vector<std::string> names, std::optional<Seconds> wait,
                 const FeedPtr& waiting, int tag, bool ask, bool force, Text reason,
-                const HandOverPolicy& hand_over, GiveUp& give_up) {
+                const HandOverPolicy& hand_over, GiveUp& give_up, const py::list& granted) {
                  const auto options =
                      checkOutOptions(wait, waiting, tag, ask, force, reason, hand_over, give_up);
-                 return waits(self, give_up, [names, options](Client& c) -> Result<std::vector<CheckOut>> {
-                     if (names.size() != 1) return c.checkOut(names, options);
-                     auto one = c.checkOut(names.front(), options);
-                     if (!one) return one.refusal();
-                     return std::vector{std::move(one).value()};
-                 });
+                 give(granted, waits(
+                                   self, give_up,
+                                   [names, options](Client& c) -> Result<std::vector<CheckOut>> {
+                                       if (names.size() != 1) return c.checkOut(names, options);
+                                       auto one = c.checkOut(names.front(), options);
+                                       if (!one) return one.refusal();
+                                       return std::vector{std::move(one).value()};
+                                   },
+                                   releaseAll));
              })
         .def("check_out_query",
              [](const NativeClient& self, std::string query, std::optional<Seconds> wait,
                 const FeedPtr& waiting, int tag, bool ask, bool force, Text reason,
-                const HandOverPolicy& hand_over, GiveUp& give_up) {
+                const HandOverPolicy& hand_over, GiveUp& give_up, const py::list& granted) {
                  const auto options =
                      checkOutOptions(wait, waiting, tag, ask, force, reason, hand_over, give_up);
-                 return waits(self, give_up,
-                              [query, options](Client& c) { return c.checkOutQuery(query, options); });
+                 give(granted, waits(
+                                   self, give_up,
+                                   [query, options](Client& c) { return c.checkOutQuery(query, options); },
+                                   releaseAll));
              })
         .def("resume",
-             [](const NativeClient& self, std::string ticket, GiveUp& give_up) {
-                 return waits(self, give_up, [ticket](Client& c) { return c.resume(ticket); });
+             [](const NativeClient& self, std::string ticket, GiveUp& give_up, const py::list& granted) {
+                 give(granted, waits(
+                                   self, give_up,
+                                   [ticket](Client& c) -> Result<std::vector<CheckOut>> {
+                                       auto one = c.resume(ticket);
+                                       if (!one) return one.refusal();
+                                       return std::vector{std::move(one).value()};
+                                   },
+                                   releaseAll));
              })
-        .def("held", [](const NativeClient& self) { return quick(self, [](Client& c) { return c.held(); }); })
+        .def("held",
+             [](const NativeClient& self) {
+                 py::list out;
+                 give(out, atOnce(self, [](Client& c) { return c.held(); }));
+                 return out;
+             })
         .def("stop",
              [](const NativeClient& self, std::vector<std::string> names, Seconds deadline,
                 Seconds standstill, GiveUp& give_up) {
@@ -377,44 +491,50 @@ void bindConnection(py::module_& module) {
                  });
              })
         .def("rearm", [](const NativeClient& self,
-                         Text name) { must(quick(self, [&](Client& c) { return c.rearm(name); })); })
+                         Text name) { waits(self, [name](Client& c) { return c.rearm(name); }); })
         .def("services",
              [](const NativeClient& self, Text name) {
-                 return must(quick(self, [&](Client& c) { return c.services(name); }));
+                 return waits(self, [name](Client& c) { return c.services(name); });
              })
-        .def("details",
-             [](const NativeClient& self, Text name) {
-                 return must(quick(self, [&](Client& c) { return c.details(name); }));
-             })
+        .def("details", [](const NativeClient& self,
+                           Text name) { return waits(self, [name](Client& c) { return c.details(name); }); })
         .def("global_services",
              [](const NativeClient& self) {
-                 return must(quick(self, [](Client& c) { return c.globalServices(); }));
+                 return waits(self, [](Client& c) { return c.globalServices(); });
              })
         .def("propose",
              [](const NativeClient& self, const GlobalService& service, const Bindings& chosen) {
-                 return must(quick(self, [&](Client& c) { return c.propose(service, chosen); }));
+                 return waits(self, [service, chosen](Client& c) { return c.propose(service, chosen); });
              })
         .def("run_global",
              [](const NativeClient& self, const GlobalService& service, const Bindings& bindings, Text master,
                 bool check) {
-                 return must(quick(self, [&](Client& c) {
-                     return check ? c.checkGlobal(service, bindings, master)
-                                  : c.runGlobal(service, bindings, master);
-                 }));
+                 return OwnRun(waits(
+                     self,
+                     [service, bindings, master, check](Client& c) {
+                         return check ? c.checkGlobal(service, bindings, master)
+                                      : c.runGlobal(service, bindings, master);
+                     },
+                     [](Result<Run>& run) {
+                         if (run) (void)run->cancel();
+                     }));
              })
         .def("run_history",
              [](const NativeClient& self, Texts names, int most) {
-                 return must(quick(self, [&](Client& c) { return c.runHistory(names, most); }));
+                 return waits(self, [names, most](Client& c) { return c.runHistory(names, most); });
              })
         .def("watch",
              [](const NativeClient& self, Text name, Texts streams, const FeedPtr& feed) {
-                 auto handle = must(quick(self, [&](Client& c) {
+                 auto handle = must(atOnce(self, [&](Client& c) {
                      return c.watch(name, streams, [feed](const Sample& sample) {
-                         feed->push([sample] { return toPython(sample); });
+                         const auto size = sample.raw.size() + kEntry;
+                         feed->push([copy = std::make_shared<Sample>(sample)](
+                                        int) { return toPython(std::move(*copy)); },  // it is taken once
+                                    0, size);
                      });
                  }));
-                 return py::capsule(new std::shared_ptr<void>(std::move(handle)), [](void* watch) {
-                     const auto end = [watch] { delete static_cast<std::shared_ptr<void>*>(watch); };
+                 return py::capsule(new OwnWatch(std::move(handle)), [](void* watch) {
+                     const auto end = [watch] { delete static_cast<OwnWatch*>(watch); };
                      released(end);
                  });
              })
@@ -440,9 +560,9 @@ void bindClient(py::module_& module) {
     py::class_<GiveUp, std::shared_ptr<GiveUp>>(module, "GiveUp", "Asks a call that waits to give up.")
         .def(py::init<>())
         .def("request", &GiveUp::request);
-    py::class_<Task> task(module, "Task");
+    py::class_<OwnTask> task(module, "Task");
     bindHandle<Task, TaskReport>(task);
-    py::class_<Run> run(module, "Run");
+    py::class_<OwnRun> run(module, "Run");
     bindHandle<Run, RunReport>(run);
     bindCheckOut(module);
     bindConnection(module);
@@ -453,7 +573,10 @@ void bindClient(py::module_& module) {
         Options options;
         if (!config.empty()) options = must(released([&] { return readConfiguration(config, options); }));
         if (!server.empty()) options.server = server;
-        if (!user.empty()) options.user = user;
+        if (!user.empty() && user != options.user) {
+            options.user = user;
+            options.password.clear();  // a password goes with its user
+        }
         if (!password.empty()) options.password = password;
         for (const auto& [key, value] : properties) options.properties[key] = value;
         options.display_name = name;

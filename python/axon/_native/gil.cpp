@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "gil.hpp"
 
+#include <pthread.h>
+
 #include <condition_variable>
 #include <mutex>
 #include <thread>
@@ -59,6 +61,15 @@ WithGil::WithGil() : taken_(door().enter()) {
 
 WithGil::~WithGil() {
     if (taken_) PyGILState_Release(state_);
+}
+
+void prepareForForks() {
+    ::pthread_atfork([] { door().mutex.lock(); }, [] { door().mutex.unlock(); },
+                     [] {
+                         door().asking = 0;  // those who asked are threads of the parent
+                         door().last = std::this_thread::get_id();
+                         door().mutex.unlock();
+                     });
 }
 
 void endOfInterpreter() {

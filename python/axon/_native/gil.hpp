@@ -35,6 +35,10 @@ class WithGil {
     PyGILState_STATE state_{};
 };
 
+/// Makes a child of fork() able to use WithoutGil: no other thread of its parent lives on in it. Called once,
+/// before anything else of this file.
+void prepareForForks();
+
 /// Called once, with the GIL, by the thread that is about to end the interpreter. Returns when no other
 /// thread is asking for the GIL. Threads that come back from a native call later wait for the end of the
 /// process.

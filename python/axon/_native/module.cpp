@@ -7,6 +7,7 @@ PYBIND11_MODULE(_native, module) {
     module.doc() =
         "The C++ client library of Axon. Programs use the package axon, which says what everything here "
         "means.";
+    prepareForForks();
     bindValues(module);
     bindFeed(module);
     bindSamples(module);

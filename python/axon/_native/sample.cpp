@@ -64,7 +64,8 @@ struct Content {
 
 }  // namespace
 
-/// The sample, read when it is first looked into. Arrays look into it, so they keep it alive.
+/// The sample. It is read when it is first looked into; then the bytes that arrived are let go, and arrays
+/// look into what was read, so they keep it alive.
 class NativeSample {
   public:
     explicit NativeSample(client::Sample sample) : sample_(std::move(sample)) {}
@@ -77,6 +78,7 @@ class NativeSample {
             read_.reset();
             throw py::value_error("stream " + sample_.stream + " brought a sample that cannot be read");
         }
+        std::string().swap(sample_.raw);
         const auto* const type = read_->GetDescriptor();
         const auto& reflection = *read_->GetReflection();
         const auto* const which = reflection.GetOneofFieldDescriptor(*read_, type->FindOneofByName("sample"));
@@ -101,7 +103,7 @@ class NativeSample {
     }
 
   private:
-    const client::Sample sample_;
+    client::Sample sample_;
     std::unique_ptr<pb::Message> read_;
     Content content_;
     std::string scratch_;

@@ -4,7 +4,8 @@
 
 namespace axon::python {
 
-/// The sample as an object of Python. Its arrays look into the memory of the sample; nothing is copied.
+/// The sample as an object of Python. It is read once, which copies its data; its arrays look into what was
+/// read.
 pybind11::object toPython(client::Sample sample);
 
 }  // namespace axon::python

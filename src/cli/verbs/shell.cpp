@@ -33,6 +33,14 @@ void tell(const char* variable, const std::string& value) {
     if (!value.empty()) ::setenv(variable, value.c_str(), 1);
 }
 
+/// Whether the program finds the password in the configuration file, so that it needs no place in the environment,
+/// which every program has that it starts. axon.shell takes it out of there as soon as it is connected.
+bool inConfiguration(const Settings& settings) {
+    if (settings.config.empty()) return false;
+    const auto read = client::readConfiguration(settings.config);
+    return read && read->user == settings.user && read->password == settings.password;
+}
+
 int shell(Session& session) {
     std::error_code unknown;
     const auto packages = pythonFolder(fs::read_symlink("/proc/self/exe", unknown));
@@ -46,7 +54,7 @@ int shell(Session& session) {
     tell("AXON_SERVER", session.settings.server);
     tell("AXON_CONFIG", session.settings.config);
     tell("AXON_USER", session.settings.user);
-    tell("AXON_PASSWORD", session.settings.password);
+    if (!inConfiguration(session.settings)) tell("AXON_PASSWORD", session.settings.password);
     const char* python = "/usr/bin/python3";  // Debian's, for which the package is built
     const std::array words{python, "-m", "axon.shell", static_cast<const char*>(nullptr)};
     ::execv(python, const_cast<char* const*>(words.data()));
