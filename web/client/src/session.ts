@@ -371,7 +371,7 @@ export class Session implements Observer {
                     this.core.onProfile(presence, registration, profile);
                 }),
             status: (status) => on(() => this.core.onStatus(status)),
-            entityMessage: (_lane, head, bytes) => on(() => this.onEntityMessage(head, bytes)),
+            entityMessage: (head, bytes) => on(() => this.onEntityMessage(head, bytes)),
             refused: (head, refusal) =>
                 on(() => {
                     if (head.msgType === "STOP" || head.msgType === "RESET" || head.msgType === "CLEAR") this.desk.onRefusal(head.seq, head.entity, refusal);

@@ -60,7 +60,7 @@ export interface Login {
 export interface ConnectionEvents {
     profile(presence: Presence, registration: Registration, profile: Uint8Array): void;
     status(status: Status): void;
-    entityMessage(lane: Lane, head: Header, bytes: Uint8Array): void;
+    entityMessage(head: Header, bytes: Uint8Array): void;
     refused(head: Header, refusal: Refusal): void;
     stopAccepted(head: Header, entities: number): void;
     serverText(code: number, text: string): void;

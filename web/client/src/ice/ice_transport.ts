@@ -58,12 +58,9 @@ function statusOf(status: Common.CommUtil.EntityStatus): Status {
     return { entity, state: stateInSlice(status.state.value), latched, stopGeneration, holder: senderOf(status.holder), held: { epoch, number }, reason, orphaned, waiting, stopLatencyUs };
 }
 
-/** Pushes of the server, for one lane. */
+/** Pushes of the server, on either lane. */
 class Callback extends FrontEndComm.ClientCallback {
-    constructor(
-        private readonly events: ConnectionEvents,
-        private readonly lane: Lane,
-    ) {
+    constructor(private readonly events: ConnectionEvents) {
         super();
     }
     override newBasicPrflMsg(presence: Common.CommUtil.Presence, registration: Common.CommUtil.Registration, profile: Uint8Array): void {
@@ -73,10 +70,10 @@ class Callback extends FrontEndComm.ClientCallback {
         this.events.status(statusOf(status));
     }
     override newEntityMsg(head: Head, bytes: Uint8Array): void {
-        this.events.entityMessage(this.lane, headerOf(head), bytes);
+        this.events.entityMessage(headerOf(head), bytes);
     }
     override newEntityMsgDataSeq(head: Head, bytes: Uint8Array): void {
-        this.events.entityMessage(this.lane, headerOf(head), bytes);
+        this.events.entityMessage(headerOf(head), bytes);
     }
     override newRefusalMsg(head: Head, code: number, reason: string): void {
         this.events.refused(headerOf(head), refusalOf(code, reason) ?? new Refusal("INTERNAL", reason));
@@ -181,7 +178,7 @@ async function openLane({ lane, target, login, token, timeoutMs, openMs, events,
         let connection: Ice.Connection;
         let session: Session;
         let callback: Axon.FrontEndComm.ClientCallbackPrx;
-        const servant = new Callback(events, lane);
+        const servant = new Callback(events);
         if (target.router === undefined) {
             const proxy = communicator.stringToProxy(`ClientGate:${where}`).ice_invocationTimeout(openMs);
             const gate = FrontEndComm.ClientGatePrx.uncheckedCast(proxy);

@@ -155,7 +155,7 @@ test("Reset and clear are numbered with the stops, carry the lease, and resolve 
     const clear = refusal(robot.clear());
     const reply = { reply: { requestId: new TextEncoder().encode(`${ME.id}:2`), refusal: { code: 60, message: "it takes part in a run" } } };
     const { encode } = await import("../../dist/wire/codec.js");
-    server.events.entityMessage("signal", { entity: ROBOT, msgType: "REPLY", held: { epoch: 1, number: 1 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", reply));
+    server.events.entityMessage({ entity: ROBOT, msgType: "REPLY", held: { epoch: 1, number: 1 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", reply));
     assert.equal((await clear).code, "WRONG_STATE");
 });
 

@@ -151,11 +151,11 @@ export class FakeServer implements Transport {
         this.status(entity, more);
     }
     say(entity: string, body: Init<Messages["ToClient"]>, msgType = "", held = { epoch: 1, number: 1 }): void {
-        this.events.entityMessage("data", { entity, msgType, held, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", body));
+        this.events.entityMessage({ entity, msgType, held, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", body));
     }
     receipt(entity: string, seq: number, body: Init<Messages["StopReceipt"]>, by = this.me.id): void {
         const bytes = encode("ToClient", { receipt: { stopId: `${by}:${seq}`, stopGeneration: 4, state: 5, ...body } });
-        this.events.entityMessage("signal", { entity, msgType: "RECEIPT", held: { epoch: 0, number: 0 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, bytes);
+        this.events.entityMessage({ entity, msgType: "RECEIPT", held: { epoch: 0, number: 0 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, bytes);
     }
     /** Answers the check-out that was sent last. */
     grant(entity: string, number = 1, more: Init<Messages["CheckOutReply"]> = {}): void {
