@@ -9,7 +9,7 @@ import { after, before, test } from "node:test";
 import { checkOut, closeBrowser, fillAll, goTo, House, obstacles, openEntity, ROOT, runButton, throttleable } from "./support.mjs";
 
 /** Of each test but the transport (web/CMakeLists.txt); usual are a few seconds. */
-const limited = { timeout: 60_000 };
+const limited = { timeout: 90_000 };
 const PAGES = ["#/", "#/collaboration", "#/activity", "#/stop"];
 
 const HOSTILE = '"><img src=x onerror="globalThis.hacked=1"><script>globalThis.hacked=2</script>{{7*7}}';
