@@ -16,10 +16,9 @@ namespace axon::console {
 ///
 /// It is read again when a file has changed, come or gone, which is looked for once a second at most, when
 /// somebody asks: the console may be built while the server runs, and what was read half-way is then read
-/// again. Links, names that begin with '.' and what
-/// is no regular file are left out. Bounds: 2,000 files, each of 16 MiB, together 64 MiB; what exceeds them
-/// is left out, and the log says so. Files that only differ by ".gz" or ".br" are one file in several
-/// codings.
+/// again. Links, names that begin with '.' and what is no regular file are left out. Bounds: 2,000 files,
+/// each of 16 MiB, together 64 MiB; what exceeds them is left out, and the log says so. Files that only
+/// differ by ".gz" or ".br" are one file in several codings.
 ///
 /// Threads: that of the console. Failure: a folder that cannot be read has no files.
 class BuiltFolder final : public FilesPort {

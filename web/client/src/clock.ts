@@ -18,21 +18,8 @@ export interface Alarm {
 /** No timer of JavaScript waits for longer than this. */
 const LONGEST_MS = 2 ** 30;
 
+/** Rings at most once, and not after it was stopped with what this returns. */
 type Start = (ring: () => void, ms: number) => () => void;
-
-/** Whatever the timers are made of: it rings at most once, and not after it was stopped. */
-function onlyOnce(start: Start, ring: () => void, ms: number): () => void {
-    let over = false;
-    const stop = start(() => {
-        if (over) return;
-        over = true;
-        ring();
-    }, ms);
-    return () => {
-        over = true;
-        stop();
-    };
-}
 
 /** One timer at a time. Setting it to a later time leaves the timer as it is: it rings too early, and is then set again. */
 class TimerAlarm implements Alarm {
@@ -51,10 +38,10 @@ class TimerAlarm implements Alarm {
         this.stop?.();
         this.armed = at;
         const wait = Math.min(Math.max(at - this.now(), 0), LONGEST_MS);
-        this.stop = onlyOnce(this.start, () => {
+        this.stop = this.start(() => {
             this.armed = Infinity;
             this.stop = undefined;
-            if (!this.ended) this.ring();
+            this.ring();
         }, Math.ceil(wait));
     }
     end(): void {

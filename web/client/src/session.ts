@@ -16,7 +16,7 @@ import { inQuotes } from "./wire/values.js";
 const RECONNECT_FIRST_MS = 100;
 const RECONNECT_LAST_MS = 2000;
 const RELEASE_MS = 1000;
-/** A signal lane that could not be opened is tried again after this, each time after twice as long. */
+/** A signal lane that could not be opened is tried again after this, each time after twice as long, and not while robots of this client move. */
 const ATTACH_FIRST_MS = 1000;
 const ATTACH_LAST_MS = 60_000;
 
@@ -116,6 +116,10 @@ export class Session implements Observer {
     private wait = RECONNECT_FIRST_MS;
     private attachAt = Infinity;
     private attachWait = ATTACH_FIRST_MS;
+    private attachTries = 0;
+    private attaching = false;
+    /** The last connections ended with a try to open the signal lane: the next one waits for this before its first. */
+    private attachAfter = 0;
 
     private depth = 0;
     private departing = false;
@@ -199,7 +203,11 @@ export class Session implements Observer {
             this.guarded(() => this.core.onTimer());
             if (this.core.serverSilent) this.connectionLost(this.listening, "the server has been silent for too long");
             if (now >= this.reconnectAt) void this.reconnect();
-            if (now >= this.attachAt) void this.attachSignalLane();
+            if (now >= this.attachAt) {
+                // Should the server not answer in time, the session ends, and the robots with it.
+                if (this.attachTries > 0 && this.core.server.busy) this.attachAt = now + ATTACH_FIRST_MS;
+                else void this.attachSignalLane();
+            }
         });
     }
     private mayBeat(): boolean {
@@ -257,8 +265,9 @@ export class Session implements Observer {
                 this.connection = opened;
                 this.user ??= credentials.user;
                 this.signalLane = opened.signalLane;
+                this.attachTries = this.attachAfter > 0 ? 1 : 0;
                 this.attachWait = ATTACH_FIRST_MS;
-                this.attachAt = opened.signalLane === "shared" && opened.signalOffered ? this.options.clock.now() : Infinity;
+                this.attachAt = opened.signalLane === "shared" && opened.signalOffered ? this.options.clock.now() + this.attachAfter : Infinity;
                 this.desk.onConnected(opened);
                 this.core.onConnected(opened);
                 this.tries = 0;
@@ -291,6 +300,8 @@ export class Session implements Observer {
         const { connection } = this;
         if (connection === undefined) return;
         let opened = true;
+        this.attaching = true;
+        ++this.attachTries;
         try {
             await connection.attachSignalLane();
         } catch {
@@ -298,6 +309,8 @@ export class Session implements Observer {
         }
         this.turn(() => {
             if (this.connection !== connection) return;
+            this.attaching = false;
+            this.attachAfter = 0;
             if (opened) {
                 this.signalLane = connection.signalLane;
                 this.say(this.onConnection, this.report());
@@ -332,6 +345,8 @@ export class Session implements Observer {
         const connection = this.connection;
         if (connection === undefined) return; // it is being opened, and open() fails
         this.connection = undefined;
+        if (this.attaching) this.attachAfter = Math.min(Math.max(2 * this.attachAfter, ATTACH_FIRST_MS), ATTACH_LAST_MS);
+        this.attaching = false;
         this.attachAt = Infinity;
         this.signalLane = "shared";
         connection.drop();
@@ -356,7 +371,7 @@ export class Session implements Observer {
                     this.core.onProfile(presence, registration, profile);
                 }),
             status: (status) => on(() => this.core.onStatus(status)),
-            entityMessage: (_lane, head, bytes) => on(() => this.onEntityMessage(head, bytes)),
+            entityMessage: (head, bytes) => on(() => this.onEntityMessage(head, bytes)),
             refused: (head, refusal) =>
                 on(() => {
                     if (head.msgType === "STOP" || head.msgType === "RESET" || head.msgType === "CLEAR") this.desk.onRefusal(head.seq, head.entity, refusal);

@@ -60,7 +60,7 @@ export interface Login {
 export interface ConnectionEvents {
     profile(presence: Presence, registration: Registration, profile: Uint8Array): void;
     status(status: Status): void;
-    entityMessage(lane: Lane, head: Header, bytes: Uint8Array): void;
+    entityMessage(head: Header, bytes: Uint8Array): void;
     refused(head: Header, refusal: Refusal): void;
     stopAccepted(head: Header, entities: number): void;
     serverText(code: number, text: string): void;
@@ -75,6 +75,8 @@ export interface Facts {
     readonly entities: number;
     readonly watchdogBusyMs: number;
     readonly watchdogIdleMs: number;
+    /** Of one message of the data lane, without its header: a larger one would end the session. */
+    readonly messageBytesMax: number;
 }
 
 /**
@@ -89,7 +91,8 @@ export interface Connection {
     readonly signalOffered: boolean;
     /**
      * Opens the signal lane that was offered; one try at a time. Rejects with a Refusal if it cannot be reached now. Once it is
-     * open its end is that of the session: the server ends both.
+     * open its end is that of the session: the server ends both. So it is if the server does not answer that it is open: then
+     * closed() is called, too.
      */
     attachSignalLane(): Promise<void>;
     /** Bytes and messages of the data lane that are not on their way yet. */

@@ -105,8 +105,10 @@ class HttpsTest(unittest.TestCase):
         fronts.start(kind, self.lab, name="localhost", port=port, base=self.base, certs=self.certs)
         text = self.assert_visited(f"https://localhost:{port}/")
         # Everything under one host.
-        self.assertIn(f"wss://localhost:{port}/axon", text)
-        self.assertNotIn(f":{self.base + 8}", text)
+        self.assertRegex(text, f"sessions at .*wss://localhost:{port}/axon( |\n)")
+        self.assertIn(f"stops at wss://localhost:{port}/axon-signal\n", text)
+        for own in (self.base + 8, self.base + 9):
+            self.assertNotIn(f":{own}", text)
 
     @unittest.skipUnless(fronts.NGINX, "needs nginx")
     def test_behind_nginx(self):
@@ -121,6 +123,7 @@ class HttpsTest(unittest.TestCase):
         self.start((self.certs / "server-localhost.cfg").read_text(), "--console-endpoint", f"ssl://127.0.0.1:{self.base + 7}")
         text = self.assert_visited(f"https://localhost:{self.base + 7}/")
         self.assertIn(f"wss://localhost:{self.base + 8}/axon", text)
+        self.assertIn(f"stops at wss://localhost:{self.base + 9}/axon-signal\n", text)
 
     def test_a_browser_that_does_not_know_the_ca_shows_nothing(self):
         self.start((self.certs / "server-localhost.cfg").read_text(), "--console-endpoint", f"ssl://127.0.0.1:{self.base + 7}")

@@ -4,15 +4,12 @@ import { fromHex, hex, type Id, idOf } from "../ids.js";
 import { Refusal } from "../refusal.js";
 import { NO_LEASE } from "../transport.js";
 import type { Argument } from "../types.js";
-import { encode } from "../wire/codec.js";
 import { safeNumber } from "../wire/content.js";
 import { findResource, toParam } from "../wire/values.js";
 import { Context, type Done, type Held, type Parts } from "./context.js";
 import { isFull, overloaded } from "./tasks.js";
 
 export const CHUNK_MAX = 64 * 1024;
-/** A message of the data lane, without its header. */
-const MESSAGE_MAX = 4 * 1024 * 1024 - 64 * 1024;
 
 /** Parameters, texts, raw data, resources, reset, clear, rearm. All of them throw what can be said at once. */
 export class Commands {
@@ -32,13 +29,12 @@ export class Commands {
     }
     sendText(held: Held, text: string): void {
         this.admit(held);
-        if (new TextEncoder().encode(text).length > MESSAGE_MAX) throw new Refusal("TOO_LARGE", "A text has at most 4 MiB less 64 KiB: upload a file as a resource.");
         this.parts.context.send(held.entity, "TEXT", held.lease, { text: { text } });
     }
     sendRaw(held: Held, bytes: Uint8Array): void {
         this.admit(held);
-        if (bytes.length > MESSAGE_MAX) throw new Refusal("TOO_LARGE", "Raw data has at most 4 MiB less 64 KiB in one message: send it in parts.");
-        this.parts.context.link?.toEntityDroppable(this.parts.context.header(held.entity, "RAW", held.lease), encode("ToEntity", { raw: { data: [bytes] } }));
+        const message = this.parts.context.encoded({ raw: { data: [bytes] } });
+        this.parts.context.link?.toEntityDroppable(this.parts.context.header(held.entity, "RAW", held.lease), message);
     }
     /** The receipts of both are for StopDesk. */
     reset(held: Held, sequence: number): void {

@@ -118,11 +118,19 @@ export class Context {
     header(entity: string, msgType: string, held: LeaseNumber = NO_LEASE, seq?: number): Header {
         return { entity, msgType, held, stopGeneration: this.marks.of(entity), seq: seq ?? ++this.sequence, sentAtUs: Math.round(this.clock.now() * 1000) };
     }
-    /** Returns the number of the message. */
+    /** Returns the number of the message. Throws what encoded() throws, before anything is sent or counted. */
     send(entity: string, msgType: string, held: LeaseNumber, body: Init<proto.ToEntity>): number {
+        const bytes = this.encoded(body);
         const head = this.header(entity, msgType, held);
-        this.link?.toEntity(head, encode("ToEntity", body));
+        this.link?.toEntity(head, bytes);
         return head.seq;
+    }
+    /** Throws TOO_LARGE for what the server does not take: it would end the session. */
+    encoded(body: Init<proto.ToEntity>): Uint8Array {
+        const bytes = encode("ToEntity", body);
+        const most = this.link?.facts.messageBytesMax ?? Infinity;
+        if (bytes.length > most) throw new Refusal("TOO_LARGE", `The message has ${bytes.length} bytes, and at most ${most} go over this connection. Send it in parts, or upload a file as a resource.`);
+        return bytes;
     }
     static notConnected(): Refusal {
         return new Refusal("NOT_CONNECTED", "There is no connection to the server at the moment. Try again when it is back.");

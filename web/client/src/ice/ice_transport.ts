@@ -18,7 +18,7 @@ type Head = Common.CommUtil.Header;
 
 const CONNECT_MS = 3000;
 const LEAVE_MS = 1000;
-/** A try to open the signal lane at an endpoint that the server named is given up after this. */
+/** To connect to an endpoint that the server named for the signal lane, and to log in there, each; then the try is given up. */
 const SIGNAL_MS = 2000;
 /** Signals that are not written yet; beyond that the connection ends. */
 const SIGNALS_MAX = 16_384;
@@ -28,6 +28,11 @@ const DATA_BYTES_MAX = 2 * (64 + 1) * 1024;
 const ROUTED_BYTES_MAX = 256 * 1024;
 /** A heartbeat through a router that wants an answer gets one within this, or the server behind it is gone. */
 const ROUTED_ANSWER_MS = 5000;
+
+/** What a server or a router takes in one message, less what Ice writes around it. */
+const MESSAGE_BYTES_MAX = (4096 - 64) * 1024;
+/** The same at a server's port for browsers (docs/reference/console.md, "Limits"). */
+const BROWSER_MESSAGE_BYTES_MAX = (512 - 16) * 1024;
 
 const ROLES: readonly Role[] = ["observer", "operator", "admin"];
 const PRESENCES: readonly Presence[] = ["joined", "changed", "left"];
@@ -53,12 +58,9 @@ function statusOf(status: Common.CommUtil.EntityStatus): Status {
     return { entity, state: stateInSlice(status.state.value), latched, stopGeneration, holder: senderOf(status.holder), held: { epoch, number }, reason, orphaned, waiting, stopLatencyUs };
 }
 
-/** Pushes of the server, for one lane. */
+/** Pushes of the server, on either lane. */
 class Callback extends FrontEndComm.ClientCallback {
-    constructor(
-        private readonly events: ConnectionEvents,
-        private readonly lane: Lane,
-    ) {
+    constructor(private readonly events: ConnectionEvents) {
         super();
     }
     override newBasicPrflMsg(presence: Common.CommUtil.Presence, registration: Common.CommUtil.Registration, profile: Uint8Array): void {
@@ -68,10 +70,10 @@ class Callback extends FrontEndComm.ClientCallback {
         this.events.status(statusOf(status));
     }
     override newEntityMsg(head: Head, bytes: Uint8Array): void {
-        this.events.entityMessage(this.lane, headerOf(head), bytes);
+        this.events.entityMessage(headerOf(head), bytes);
     }
     override newEntityMsgDataSeq(head: Head, bytes: Uint8Array): void {
-        this.events.entityMessage(this.lane, headerOf(head), bytes);
+        this.events.entityMessage(headerOf(head), bytes);
     }
     override newRefusalMsg(head: Head, code: number, reason: string): void {
         this.events.refused(headerOf(head), refusalOf(code, reason) ?? new Refusal("INTERNAL", reason));
@@ -144,12 +146,15 @@ interface LaneOrder {
     readonly login: Login;
     /** Of the data lane, for the signal lane through a router. */
     readonly token: string;
+    /** Of every request. */
     readonly timeoutMs: number;
+    /** To connect, and to log in. */
+    readonly openMs: number;
     readonly events: ConnectionEvents;
     readonly closed: (why: string) => void;
 }
 
-async function openLane({ lane, target, login, token, timeoutMs, events, closed }: LaneOrder): Promise<LaneEnd> {
+async function openLane({ lane, target, login, token, timeoutMs, openMs, events, closed }: LaneOrder): Promise<LaneEnd> {
     const properties = Ice.createProperties();
     for (const [key, value] of Object.entries({
         "Ice.RetryIntervals": "-1", // a new connection has no session
@@ -157,7 +162,7 @@ async function openLane({ lane, target, login, token, timeoutMs, events, closed 
         "Ice.ACM.Timeout": "60",
         "Ice.ACM.Client.Close": "0",
         "Ice.ACM.Client.Heartbeat": "3",
-        "Ice.Override.ConnectTimeout": String(Math.min(CONNECT_MS, timeoutMs)),
+        "Ice.Override.ConnectTimeout": String(Math.min(CONNECT_MS, openMs)),
         "Ice.Warn.Connections": "0",
         "Ice.Warn.Dispatch": "0",
     })) {
@@ -173,9 +178,9 @@ async function openLane({ lane, target, login, token, timeoutMs, events, closed 
         let connection: Ice.Connection;
         let session: Session;
         let callback: Axon.FrontEndComm.ClientCallbackPrx;
-        const servant = new Callback(events, lane);
+        const servant = new Callback(events);
         if (target.router === undefined) {
-            const proxy = communicator.stringToProxy(`ClientGate:${where}`).ice_invocationTimeout(timeoutMs);
+            const proxy = communicator.stringToProxy(`ClientGate:${where}`).ice_invocationTimeout(openMs);
             const gate = FrontEndComm.ClientGatePrx.uncheckedCast(proxy);
             const opened = await gate.open(login.user, login.password, login.displayName, new Map([contract]));
             connection = gate.ice_getCachedConnection();
@@ -183,7 +188,7 @@ async function openLane({ lane, target, login, token, timeoutMs, events, closed 
             callback = FrontEndComm.ClientCallbackPrx.uncheckedCast(adapter.addWithUUID(servant));
             session = FrontEndComm.ClientSessionPrx.uncheckedCast(connection.createProxy(opened.ice_getIdentity()));
         } else {
-            const proxy = communicator.stringToProxy(`${target.router}:${where}`).ice_invocationTimeout(timeoutMs);
+            const proxy = communicator.stringToProxy(`${target.router}:${where}`).ice_invocationTimeout(openMs);
             const router = Glacier2.RouterPrx.uncheckedCast(proxy);
             const context = new Map([contract, ["axon-name", login.displayName]]);
             if (token !== "") context.set("axon-token", token);
@@ -210,19 +215,25 @@ async function openLane({ lane, target, login, token, timeoutMs, events, closed 
     }
 }
 
-/** Opens the signal lane of a session. From then on its end is that of the session, for the server too; before, only of the try. */
+/**
+ * Opens the signal lane of a session. Once it is asked for, its end is that of the session, for the server too, which may have
+ * attached it although no answer has come; before, only of the try.
+ */
 async function attach(order: LaneOrder): Promise<LaneEnd> {
     let ended = "";
-    let attached = false;
-    const lane = await openLane({ ...order, closed: (why) => (attached ? order.closed(why) : void (ended = why)) });
+    let asked = false;
+    const lane = await openLane({ ...order, closed: (why) => (asked ? order.closed(why) : void (ended = why)) });
     try {
-        await lane.session.attachSignalLane(order.token, lane.callback);
         if (ended !== "") throw new Refusal("NOT_CONNECTED", ended);
-        attached = true;
+        asked = true;
+        await lane.session.attachSignalLane(order.token, lane.callback);
         return lane;
     } catch (error) {
         lane.end();
-        throw translate(error, endpointAddress(order.target.endpoint));
+        const why = translate(error, endpointAddress(order.target.endpoint));
+        // A refusal says that it is not attached; after anything else nobody here knows.
+        if (asked && !(error instanceof CommUtil.RequestRefused)) order.closed(`the signal lane was lost while it was opened: ${why.message}`);
+        throw why;
     }
 }
 
@@ -392,14 +403,14 @@ export class IceTransport implements Transport {
             connection?.drop();
             if (connection !== undefined) events.closed(why);
         };
-        const order = { login, events, timeoutMs: login.timeoutMs };
+        const order = { login, events, timeoutMs: login.timeoutMs, openMs: login.timeoutMs };
         const data = await openLane({ ...order, lane: "data", target, token: "", closed });
         let signal: LaneEnd | undefined;
         try {
             const facts = await data.session.setCallback(data.callback);
             const where = signalEndpoint(facts.signalEndpoint, login, target);
             const certain = where !== undefined && (target.router !== undefined || login.signal !== undefined || where.scheme === "tcp");
-            const openSignal = where === undefined ? undefined : (): Promise<LaneEnd> => attach({ ...order, timeoutMs: certain ? login.timeoutMs : Math.min(SIGNAL_MS, login.timeoutMs), lane: "signal", target: { endpoint: where, router: target.router }, token: facts.token, closed });
+            const openSignal = where === undefined ? undefined : (): Promise<LaneEnd> => attach({ ...order, openMs: certain ? login.timeoutMs : Math.min(SIGNAL_MS, login.timeoutMs), lane: "signal", target: { endpoint: where, router: target.router }, token: facts.token, closed });
             // The server may name an endpoint that a browser behind a proxy cannot reach: nobody waits for that one here.
             if (certain) signal = await openSignal?.();
             if (over !== "") throw new Refusal("NOT_CONNECTED", `the connection ended during the log-in: ${over}`);
@@ -409,6 +420,7 @@ export class IceTransport implements Transport {
                     entities: facts.entities,
                     watchdogBusyMs: facts.watchdogBusyMs,
                     watchdogIdleMs: facts.watchdogIdleMs,
+                    messageBytesMax: target.router !== undefined || target.endpoint.scheme === "tcp" ? MESSAGE_BYTES_MAX : BROWSER_MESSAGE_BYTES_MAX,
                 },
                 data,
                 signal,

@@ -25,6 +25,9 @@ export function safeNumber(value: bigint): number {
 function known(value: number): number | undefined {
     return Number.isFinite(value) && value >= 0 ? value + 0 : undefined;
 }
+/** A laboratory is smaller: what says something else, or is no number, is no place. */
+const PLACE_MAX_MM = 1e9;
+const isPlace = (metres: number): boolean => Math.abs(metres * 1000) <= PLACE_MAX_MM;
 function seconds(value: number): number {
     return Number.isFinite(value) ? value * 1000 : 0;
 }
@@ -131,7 +134,7 @@ function toContent(sample: proto.StreamSample): Content | undefined {
     const { scalar, vector, pose, scan, image, raw } = sample;
     if (scalar !== undefined) return { kind: "scalar", value: scalar.value, units: scalar.units };
     if (vector !== undefined) return { kind: "vector", values: vector.values, units: vector.units };
-    if (pose !== undefined) return { kind: "pose", ...pose };
+    if (pose !== undefined) return [pose.x, pose.y, pose.z].every(isPlace) && Number.isFinite(pose.yaw) ? { kind: "pose", ...pose } : undefined;
     if (scan !== undefined) return { kind: "scan", ...scan };
     if (image !== undefined) return { kind: "picture", ...image };
     return raw === undefined ? undefined : { kind: "raw", bytes: raw };

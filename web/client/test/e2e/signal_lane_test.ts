@@ -9,6 +9,7 @@ import { eventually, Laboratory } from "./laboratory.js";
 
 interface Socket {
     readonly url: string;
+    onmessage: ((event: unknown) => void) | null;
     send(bytes: Uint8Array): void;
     terminate(): void;
 }
@@ -19,6 +20,8 @@ const sent: { readonly lane: "data" | "signal"; readonly operation: string }[] =
 const sockets = { data: new Set<Socket>(), signal: new Set<Socket>() };
 /** As a proxy that does not know of the signal lane. */
 let signalIsClosed = false;
+/** What the server sends after it was asked to attach the signal lane arrives so much later. */
+let attachDelayMs = 0;
 const Plain = (globalThis as unknown as { WebSocket: SocketClass }).WebSocket;
 class Recorded extends Plain {
     private readonly lane: "data" | "signal";
@@ -32,7 +35,17 @@ class Recorded extends Plain {
         const text = Buffer.from(bytes).toString("latin1");
         const operation = /sendStopSignal|keepAlive|sendToEntity|attachSignalLane/.exec(text)?.[0];
         if (operation !== undefined) sent.push({ lane: this.lane, operation });
+        if (operation === "attachSignalLane" && attachDelayMs > 0) this.holdBack(attachDelayMs);
         super.send(bytes);
+    }
+    private holdBack(ms: number): void {
+        const { onmessage } = this;
+        const came: unknown[] = [];
+        this.onmessage = (event) => void came.push(event);
+        setTimeout(() => {
+            this.onmessage = onmessage;
+            for (const event of came) onmessage?.call(this, event);
+        }, ms);
     }
 }
 (globalThis as unknown as { WebSocket: SocketClass }).WebSocket = Recorded;
@@ -111,6 +124,18 @@ test("A lost signal lane ends the session; the next one has both lanes, and the 
     assert.equal(receipt?.confirmed, true);
 });
 
+test("An answer that comes late does not cost the session", async () => {
+    attachDelayMs = 3000; // longer than a try to connect may take
+    const client = await join();
+    const robot = await fresh(client);
+    await eventually("the signal lane is there", () => client.connection().signalLane === "own", 20_000);
+    attachDelayMs = 0;
+    assert.deepEqual([robot.lost, client.connection().tries], [undefined, 0]);
+    assert.ok(client.connection().ageMs >= 3000, "it is still the first connection");
+    const [receipt] = await client.stop(["Counter"]);
+    assert.equal(receipt?.confirmed, true);
+});
+
 test("Where the signal lane cannot be reached, stops go over the lane of data, until it can", async () => {
     signalIsClosed = true;
     const client = await join();
@@ -121,7 +146,8 @@ test("Where the signal lane cannot be reached, stops go over the lane of data, u
     assert.equal(receipt?.confirmed, true);
     assert.deepEqual(lanesOf("sendStopSignal"), ["data"]);
     signalIsClosed = false;
-    await eventually("the signal lane is there", () => client.connection().signalLane === "own");
+    // It is tried after 1, 3, 7, 15 and 31 s, and this machine may have been slow until here.
+    await eventually("the signal lane is there", () => client.connection().signalLane === "own", 40_000);
     assert.equal(robot.lost, undefined);
     sent.length = 0;
     const [again] = await client.stop(["Counter"]);

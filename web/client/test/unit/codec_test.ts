@@ -4,6 +4,7 @@ import { execFileSync } from "node:child_process";
 import { join, resolve } from "node:path";
 import { test } from "node:test";
 import { decode, encode, Malformed } from "../../dist/wire/codec.js";
+import { toSample } from "../../dist/wire/content.js";
 
 const ROOT = resolve(process.env["AXON_ROOT"] ?? "../..");
 const bytes = (...all: number[]): Uint8Array => Uint8Array.from(all);
@@ -129,4 +130,11 @@ test("Random bytes never do more than fail", () => {
             assert.ok(error instanceof Malformed);
         }
     }
+});
+
+test("A pose that is no place is left out", () => {
+    const poseOf = (more: object): unknown => toSample("x", decode("ToClient", encode("ToClient", { sample: { stream: "pose", pose: { x: 1, y: -2, yaw: 3, ...more } } })).sample as never, 0)?.content;
+    assert.deepEqual(poseOf({}), { kind: "pose", x: 1, y: -2, z: 0, roll: 0, pitch: 0, yaw: 3, frame: "" });
+    assert.ok(poseOf({ x: 1e6, y: -1e6 }));
+    for (const more of [{ x: Number.NaN }, { y: Infinity }, { z: -Infinity }, { yaw: Number.NaN }, { x: 1e7 }, { y: -1e300 }]) assert.equal(poseOf(more), undefined, JSON.stringify(more));
 });

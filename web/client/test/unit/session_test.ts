@@ -55,6 +55,20 @@ test("What the profile does not admit is refused before it is sent", async () =>
     assert.equal(refused("Drive", "Distance", 1)?.code, "OVERLOADED");
 });
 
+test("What the server would end the session for is refused before it is sent or counted", async () => {
+    const { server, client, robot } = await held();
+    server.take();
+    const code = async (call: () => unknown): Promise<string> => (await refusal(async () => void (await call()))).code;
+    assert.equal(await code(() => robot.sendText("x".repeat(100_000))), "TOO_LARGE");
+    assert.equal(await code(() => robot.sendRaw(new Uint8Array(100_000))), "TOO_LARGE");
+    assert.deepEqual([server.take(), client.connected], [[], true]);
+    robot.sendText("x".repeat(99_000));
+    const first = server.message("text").head.seq;
+    await refusal(async () => void robot.sendText("x".repeat(100_000)));
+    robot.sendText("short");
+    assert.equal(server.message("text").head.seq, first + 1);
+});
+
 test("A grant that comes too late is released", async () => {
     const { clock, server, client } = await world();
     const asked = client.checkOut("PeopleBot");
@@ -385,8 +399,8 @@ test("What a callback throws disturbs nobody, and a callback may call everything
 test("Hostile messages are counted and change nothing", async () => {
     const { server, client, robot } = await held();
     const head = { entity: ROBOT, msgType: "TASK", held: { epoch: 0, number: 0 }, stopGeneration: 0, seq: 0, sentAtUs: 0 };
-    for (const bytes of [new Uint8Array([255]), new Uint8Array(0), new Uint8Array([0x22, 2, 0x0a, 0])]) server.events.entityMessage("data", head, bytes);
-    server.events.entityMessage("signal", { ...head, msgType: "RECEIPT" }, new Uint8Array([255]));
+    for (const bytes of [new Uint8Array([255]), new Uint8Array(0), new Uint8Array([0x22, 2, 0x0a, 0])]) server.events.entityMessage(head, bytes);
+    server.events.entityMessage({ ...head, msgType: "RECEIPT" }, new Uint8Array([255]));
     server.events.profile("joined", { entity: "__proto__", name: "constructor", category: "ROBOT", type: "MOBILE" }, new Uint8Array([255]));
     server.status("__proto__");
     assert.ok(client.malformed >= 4);
@@ -463,7 +477,7 @@ test("A message that the library cannot handle is counted and reported, and ends
     const malformed = client.malformed;
     server.events.status(undefined as never);
     server.events.profile("joined", undefined as never, new Uint8Array(0));
-    server.events.entityMessage("data", undefined as never, new Uint8Array(0));
+    server.events.entityMessage(undefined as never, new Uint8Array(0));
     assert.deepEqual([client.malformed - malformed, errors.length], [3, 3]);
     assert.deepEqual([client.connected, robot.lost], [true, undefined]);
     server.status(ROBOT, { state: "BUSY", holder: ME, held: { epoch: 1, number: 1 } });

@@ -155,7 +155,7 @@ test("Reset and clear are numbered with the stops, carry the lease, and resolve 
     const clear = refusal(robot.clear());
     const reply = { reply: { requestId: new TextEncoder().encode(`${ME.id}:2`), refusal: { code: 60, message: "it takes part in a run" } } };
     const { encode } = await import("../../dist/wire/codec.js");
-    server.events.entityMessage("signal", { entity: ROBOT, msgType: "REPLY", held: { epoch: 1, number: 1 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", reply));
+    server.events.entityMessage({ entity: ROBOT, msgType: "REPLY", held: { epoch: 1, number: 1 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", reply));
     assert.equal((await clear).code, "WRONG_STATE");
 });
 
@@ -220,6 +220,48 @@ test("The next connection begins without a signal lane, and opens its own", asyn
     const tries = server.attached;
     await clock.advance(5000);
     assert.equal(server.attached, tries);
+});
+
+test("A signal lane whose opening is not answered ends the session, and the next one waits before it tries", async () => {
+    const { server, client, clock } = await world({}, (one) => {
+        one.signalLane = "shared";
+        one.attachFails = ["late", "late"];
+    });
+    const at: number[] = [];
+    const lost: number[] = [];
+    for (let ms = 0; ms < 6000; ms += 50) {
+        if (server.attached > at.length) at.push(ms);
+        if (server.dropped > lost.length) lost.push(ms);
+        server.events.heartbeat();
+        await clock.advance(50);
+    }
+    // Each time 100 ms until the next log-in; then after 1 s, and after 2 s.
+    assert.deepEqual([at, lost], [[0, 1100, 3200], [0, 1100]]);
+    assert.deepEqual([client.connected, client.connection().signalLane, server.logins.length], [true, "own", 3]);
+});
+
+test("While a robot of this client moves, the signal lane is not tried again", async () => {
+    const { server, client, clock } = await world({}, (one) => {
+        one.signalLane = "shared";
+        one.attachFails = [new Refusal("NOT_CONNECTED", "a firewall is before it")];
+    });
+    const asked = client.checkOut("PeopleBot");
+    await settle();
+    server.grant(ROBOT);
+    await asked;
+    const status = (state: "BUSY" | "IDLE"): void => server.status(ROBOT, { state, holder: ME, held: { epoch: 1, number: 1 } });
+    const wait = async (ms: number): Promise<void> => {
+        for (let gone = 0; gone < ms; gone += 50) {
+            server.events.heartbeat();
+            await clock.advance(50);
+        }
+    };
+    status("BUSY");
+    await wait(10_000);
+    assert.deepEqual([server.attached, client.connection().signalLane], [1, "shared"]);
+    status("IDLE");
+    await wait(1000);
+    assert.deepEqual([server.attached, client.connection().signalLane], [2, "own"]);
 });
 
 test("Receipts of very many entities cost no more each than those of few", async () => {

@@ -68,8 +68,12 @@ export class FakeServer implements Transport {
     me = ME;
     entities = 0;
     signalLane: "own" | "shared" = "own";
-    /** Of a server that names a signal lane: how the tries to open it end, the first one first; then they succeed. */
-    attachFails: Refusal[] | undefined;
+    /**
+     * Of a server that names a signal lane: how the tries to open it end, the first one first; then they succeed. "late": the
+     * server has attached it, and its answer does not come.
+     */
+    attachFails: (Refusal | "late")[] | undefined;
+    messageBytesMax = 100_000;
     attached = 0;
     backlog = { messages: 0, bytes: 0 };
     /** Who waits for room on the data lane; undefined = there is room. */
@@ -85,7 +89,7 @@ export class FakeServer implements Transport {
         const note = (one: Sent): void => void this.sent.push(one);
         let signalLane = this.signalLane;
         return {
-            facts: { me: this.me, entities: this.entities, watchdogBusyMs: 250, watchdogIdleMs: 10_000 },
+            facts: { me: this.me, entities: this.entities, watchdogBusyMs: 250, watchdogIdleMs: 10_000, messageBytesMax: this.messageBytesMax },
             get signalLane() {
                 return signalLane;
             },
@@ -94,6 +98,10 @@ export class FakeServer implements Transport {
                 ++this.attached;
                 await Promise.resolve();
                 const why = this.attachFails?.shift();
+                if (why === "late") {
+                    events.closed("the signal lane was lost while it was opened");
+                    throw new Refusal("TIMED_OUT", "it does not answer in time");
+                }
                 if (why !== undefined) throw why;
                 signalLane = "own";
             },
@@ -143,11 +151,11 @@ export class FakeServer implements Transport {
         this.status(entity, more);
     }
     say(entity: string, body: Init<Messages["ToClient"]>, msgType = "", held = { epoch: 1, number: 1 }): void {
-        this.events.entityMessage("data", { entity, msgType, held, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", body));
+        this.events.entityMessage({ entity, msgType, held, stopGeneration: 0, seq: 0, sentAtUs: 0 }, encode("ToClient", body));
     }
     receipt(entity: string, seq: number, body: Init<Messages["StopReceipt"]>, by = this.me.id): void {
         const bytes = encode("ToClient", { receipt: { stopId: `${by}:${seq}`, stopGeneration: 4, state: 5, ...body } });
-        this.events.entityMessage("signal", { entity, msgType: "RECEIPT", held: { epoch: 0, number: 0 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, bytes);
+        this.events.entityMessage({ entity, msgType: "RECEIPT", held: { epoch: 0, number: 0 }, stopGeneration: 0, seq: 0, sentAtUs: 0 }, bytes);
     }
     /** Answers the check-out that was sent last. */
     grant(entity: string, number = 1, more: Init<Messages["CheckOutReply"]> = {}): void {

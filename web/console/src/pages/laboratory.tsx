@@ -7,7 +7,8 @@ import { Age, Empty, Select, StateBadge } from "../parts/small";
 import { type Seen, sorted, unready } from "../state/entities";
 import { holds } from "../state/holds";
 import { offered } from "../state/catalogue";
-import { BATTERY, liveOf, useLive } from "../state/live";
+import { BATTERY, useLive } from "../state/live";
+import { agoOf, liveOf } from "../state/live_store";
 import { linkTo } from "../state/route";
 import { ticked } from "../state/stops";
 import { formatCount, formatMs } from "../words/format";
@@ -62,8 +63,10 @@ interface CardProps {
     readonly selected: boolean;
     /** With its units; empty = it sends none. */
     readonly battery: string;
+    /** How old that is, in words; empty = it is not old. */
+    readonly batteryAgo: string;
 }
-const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, mine, selected, battery }: CardProps) => {
+const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, mine, selected, battery, batteryAgo }: CardProps) => {
     const { long, tone } = plainState(entity);
     const tick = (on: boolean): void => {
         const all = new Set(ticked.value);
@@ -97,7 +100,15 @@ const Card = memo(({ seen: { entity, fresh, seenAt, heldSince, heldFromBegin }, 
                 {entity.waiting > 0 && `, ${formatCount(entity.waiting)} in line`}
             </p>
             <p class="foot quiet">
-                {fresh && battery !== "" && <span class="battery">battery {battery} · </span>}
+                {fresh && battery !== "" && (
+                    <>
+                        <span class={`battery ${batteryAgo === "" ? "" : "old"}`}>
+                            battery {battery}
+                            {batteryAgo !== "" && ` ${batteryAgo}`}
+                        </span>{" "}
+                        ·{" "}
+                    </>
+                )}
                 {fresh ? (
                     entity.stopLatencyMs === undefined ? (
                         "stop not measured yet"
@@ -138,11 +149,15 @@ function Cards({ list }: { readonly list: readonly Seen[] }): preact.JSX.Element
         BATTERY,
         1000,
     );
+    const at = performance.now();
     return (
         <ul class="cards" aria-label="Entities">
-            {list.map((seen) => (
-                <Card key={seen.entity.id} seen={seen} mine={holds.value.has(seen.entity.id)} selected={ticked.value.has(seen.entity.id)} battery={liveOf(seen.entity.id)?.battery ?? ""} />
-            ))}
+            {list.map((seen) => {
+                const { id } = seen.entity;
+                const live = liveOf(id);
+                const battery = live?.battery ?? "";
+                return <Card key={id} seen={seen} mine={holds.value.has(id)} selected={ticked.value.has(id)} battery={battery} batteryAgo={live === undefined || battery === "" ? "" : agoOf(live.batteryAt, at)} />;
+            })}
         </ul>
     );
 }

@@ -5,28 +5,20 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import type { Seen } from "../state/entities";
 import { closeFloor, floor, type Floor, openFloor } from "../state/floor";
 import { say } from "../state/journal";
-import { type Live, liveOf, MAPPED, useLive } from "../state/live";
+import { MAPPED, useLive } from "../state/live";
+import { agoOf, isOld, type Live, liveOf } from "../state/live_store";
 import { linkTo } from "../state/route";
 import { formatNumber } from "../words/format";
 import { marks, plainState } from "../words/words";
 import { draw } from "./streams";
+import { linesBetween, type View, viewOf } from "./view";
 
 const DRAW_MS = 100;
 const LABELS_MS = 250;
 const LIVE_MAX = 60;
-/** A scan that is older is not drawn. */
-const OLD_MS = 2000;
 /** A pose that is further from the position of the profile is in a frame of its own. */
 const SAME_FRAME_M = 1;
 
-interface View {
-    readonly scale: number;
-    readonly x: (metres: number) => number;
-    readonly y: (metres: number) => number;
-    readonly wide: number;
-    readonly high: number;
-    readonly step: number;
-}
 interface Place {
     readonly x: number;
     readonly y: number;
@@ -41,37 +33,19 @@ function placeOf({ entity }: Seen): Place {
     if (live?.pose === undefined || Math.hypot(live.pose.x - x, live.pose.y - y) > SAME_FRAME_M) return { x, y, yaw: undefined, live: undefined };
     return { x: live.pose.x, y: live.pose.y, yaw: live.pose.yaw, live };
 }
-/** 1, 2 or 5 times a power of ten, so that some lines are seen. */
-function stepOf(span: number): number {
-    const rough = span / 8;
-    const power = 10 ** Math.floor(Math.log10(rough));
-    return ([1, 2, 5].find((factor) => factor * power >= rough) ?? 10) * power;
-}
-function viewOf(places: readonly Place[], plan: Floor | undefined, wide: number, high: number): View {
-    const xs = [...places.map(({ x }) => x), ...(plan?.lines.flatMap(([x1, , x2]) => [x1, x2]) ?? [])];
-    const ys = [...places.map(({ y }) => y), ...(plan?.lines.flatMap(([, y1, , y2]) => [y1, y2]) ?? [])];
-    const least = (all: readonly number[]): number => all.reduce((a, b) => Math.min(a, b), Infinity);
-    const most = (all: readonly number[]): number => all.reduce((a, b) => Math.max(a, b), -Infinity);
-    const around = plan === undefined ? 1.2 : 0.4;
-    const low = { x: least(xs) - around, y: least(ys) - around };
-    const span = { x: Math.max(most(xs) + around - low.x, 2), y: Math.max(most(ys) + around - low.y, 2) };
-    const scale = Math.min(wide / span.x, high / span.y);
-    const left = (wide - span.x * scale) / 2;
-    const foot = (high + span.y * scale) / 2;
-    return { scale, wide, high, x: (metres) => left + (metres - low.x) * scale, y: (metres) => foot - (metres - low.y) * scale, step: stepOf(Math.min(wide, high) / scale) };
-}
-
 type Colour = (name: string) => string;
 function paintGrid(pen: CanvasRenderingContext2D, view: View, colour: Colour): void {
     const { wide, high, step, scale } = view;
+    const left = -view.x(0) / scale;
+    const foot = (view.y(0) - high) / scale;
     pen.strokeStyle = colour("--line");
     pen.lineWidth = 1;
     pen.beginPath();
-    for (let x = Math.ceil(-view.x(0) / scale / step) * step; view.x(x) < wide; x += step) {
+    for (const x of linesBetween(left, left + wide / scale, step)) {
         pen.moveTo(Math.round(view.x(x)) + 0.5, 0);
         pen.lineTo(Math.round(view.x(x)) + 0.5, high);
     }
-    for (let y = Math.ceil((view.y(0) - high) / scale / step) * step; view.y(y) > 0; y += step) {
+    for (const y of linesBetween(foot, foot + high / scale, step)) {
         pen.moveTo(0, Math.round(view.y(y)) + 0.5);
         pen.lineTo(wide, Math.round(view.y(y)) + 0.5);
     }
@@ -125,7 +99,7 @@ function paint(pen: CanvasRenderingContext2D, view: View, seen: readonly Seen[],
     const places = seen.map(placeOf);
     const at = performance.now();
     for (const place of places) {
-        for (const { scan, at: then } of place.live?.scans.values() ?? []) if (at - then < OLD_MS) paintFan(pen, view, place, scan, colour(scan.ranges.length <= 32 ? "--plot-2" : "--accent"));
+        for (const { scan, at: then } of place.live?.scans.values() ?? []) if (!isOld(then, at)) paintFan(pen, view, place, scan, colour(scan.ranges.length <= 32 ? "--plot-2" : "--accent"));
     }
     if (plan !== undefined) paintFloor(pen, view, plan, colour);
     places.forEach(({ live }, i) => {
@@ -142,8 +116,8 @@ function paint(pen: CanvasRenderingContext2D, view: View, seen: readonly Seen[],
 
 async function choose(file: File | undefined): Promise<void> {
     if (file === undefined) return;
-    if (await openFloor(file)) return;
-    say("bad", `${file.name} is not shown.`, "It is no map of Mapper3 with lines. Choose a file that begins with the line 2D-Map.");
+    const why = await openFloor(file);
+    if (why !== undefined) say("bad", `${file.name} is not shown.`, why);
 }
 
 export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX.Element {
@@ -155,7 +129,7 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
     const plan = floor.value;
     const places = seen.map(placeOf);
     const { wide, high } = size;
-    const view = viewOf(places, plan, Math.max(wide, 1), Math.max(high, 1));
+    const view = viewOf(places, plan?.lines, Math.max(wide, 1), Math.max(high, 1));
     const latest = useRef({ seen, view, plan });
     latest.current = { seen, view, plan };
     useEffect(() => {
@@ -177,6 +151,7 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
             cancelAnimationFrame(frame);
         };
     }, []);
+    const at = performance.now();
     // Several at one place stand beside each other.
     const taken = new Map<string, number>();
     return (
@@ -194,7 +169,7 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
                 <svg viewBox={`0 0 ${Math.max(wide, 1)} ${Math.max(high, 1)}`} role="group" aria-label="Map of the laboratory">
                     {wide > 0 &&
                         seen.map(({ entity, fresh: current }, i) => {
-                            const its = places[i] ?? { x: 0, y: 0, yaw: undefined };
+                            const its = places[i] ?? { x: 0, y: 0, yaw: undefined, live: undefined };
                             const x = view.x(its.x);
                             const y = view.y(its.y);
                             const square = `${Math.round(x / 12)} ${Math.round(y / 12)}`;
@@ -202,15 +177,17 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
                             taken.set(square, before + 1);
                             const { tone, short } = plainState(entity);
                             const back = x > wide * 0.75;
+                            const ago = its.live === undefined ? "" : agoOf(its.live.poseAt, at);
                             return (
                                 <g key={entity.id} transform={`translate(${x.toFixed(1)} ${(y + before * (y > high * 0.7 ? -30 : 30)).toFixed(1)})`}>
-                                    <a href={linkTo("entity", entity.id)} class={`spot ${tone} ${current ? "" : "stale"}`} data-spot={entity.name} data-live={its.yaw === undefined ? "no" : "yes"} aria-label={`${entity.name}, ${short}`}>
+                                    <a href={linkTo("entity", entity.id)} class={`spot ${tone} ${current && ago === "" ? "" : "stale"}`} data-spot={entity.name} data-live={its.yaw === undefined ? "no" : ago === "" ? "yes" : "old"} aria-label={`${entity.name}, ${short}${ago === "" ? "" : `, where it was ${ago}`}`}>
                                         <circle r={Math.max(entity.type === "MOBILE" ? 11 : 9, Math.min(view.scale * 0.22, 26))} />
                                         {its.yaw !== undefined && <path class="nose" d="M10 0L-6 6L-3 0L-6 -6Z" transform={`rotate(${((-its.yaw * 180) / Math.PI).toFixed(1)})`} />}
                                         <text x={back ? -Math.max(17, view.scale * 0.22 + 6) : Math.max(17, Math.min(view.scale * 0.22, 26) + 6)} y="5" text-anchor={back ? "end" : "start"}>
                                             {entity.name.slice(0, 24)}
                                             <tspan class="mark" dx="5">
                                                 {tone === "good" ? short : `${marks[tone]} ${short}`}
+                                                {ago !== "" && ` · here ${ago}`}
                                             </tspan>
                                         </text>
                                     </a>
@@ -221,7 +198,7 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
             </div>
             <figcaption class="quiet">
                 <span>
-                    One square is {formatNumber(view.step)} m. An arrow is a robot that sends where it is now; the others stand where their profile says. Blue: seen by lasers. Orange: by sonars. Dashed: driven.
+                    One square is {formatNumber(view.step)} m. An arrow is a robot that sends where it is; a grey one has not done so for 2 s. The others stand where their profile says. Blue: seen by lasers. Orange: by sonars. Dashed: driven.
                 </span>
                 <span class="row">
                     <label class="button">

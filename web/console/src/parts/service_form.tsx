@@ -143,7 +143,7 @@ function ResourceRow({ service, resource, hold }: { readonly service: Service; r
     const ready = hold !== undefined && upload?.state !== "sending";
     const take = (file: File | undefined): void => {
         if (file === undefined || hold === undefined || !ready) return;
-        void openFloor(file);
+        void openFloor(file); // if it is a map; the upload says whether it can be read
         void hold.upload(service.name, resource, file);
     };
     return (

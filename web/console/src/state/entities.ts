@@ -49,7 +49,12 @@ function changes(before: Entity, after: Entity): void {
     if (before.orphaned !== after.orphaned && after.orphaned) note("who", after, `${after.holder?.name ?? "its holder"} is lost and may come back`);
 }
 
-function onNews({ presence, entity, connectionLost }: EntityNews): void {
+/** A laboratory is smaller: what a profile says beyond it, or what is no number, is no place. */
+const PLACE_MAX_MM = 1e9;
+const placed = (mm: number): number => (Math.abs(mm) <= PLACE_MAX_MM ? mm : 0);
+
+function onNews({ presence, entity: told, connectionLost }: EntityNews): void {
+    const entity: Entity = { ...told, xMm: placed(told.xMm), yMm: placed(told.yMm), zMm: placed(told.zMm) };
     const before = known.get(entity.id);
     const at = Date.now();
     if (presence === "left") {

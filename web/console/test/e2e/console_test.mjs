@@ -8,6 +8,8 @@ import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { checkOut, closeBrowser, fillAll, goTo, House, obstacles, openEntity, ROOT, runButton, throttleable } from "./support.mjs";
 
+/** Of each test but the transport (web/CMakeLists.txt); usual are a few seconds. */
+const limited = { timeout: 90_000 };
 const PAGES = ["#/", "#/collaboration", "#/activity", "#/stop"];
 
 const HOSTILE = '"><img src=x onerror="globalThis.hacked=1"><script>globalThis.hacked=2</script>{{7*7}}';
@@ -37,7 +39,7 @@ after(async () => {
     rmSync(jobs, { recursive: true, force: true });
 });
 
-test("ANewcomerFinishesATask", async () => {
+test("ANewcomerFinishesATask", limited, async () => {
     const page = await house.person();
     await page.locator("[data-entity=Greeter] .badge", { hasText: "free" }).waitFor();
     await page.locator("[data-entity=Greeter] h3 a").click();
@@ -59,7 +61,7 @@ test("ANewcomerFinishesATask", async () => {
     await page.context().close();
 });
 
-test("TwoPeopleWantOneRobot", async () => {
+test("TwoPeopleWantOneRobot", limited, async () => {
     const [first, second] = await Promise.all([house.person({ name: "client1" }), house.person({ name: "client2" })]);
     await openEntity(first, "Greeter");
     await first.getByRole("button", { name: "Check out Greeter" }).click();
@@ -87,7 +89,7 @@ test("TwoPeopleWantOneRobot", async () => {
     await Promise.all([first.context().close(), second.context().close()]);
 });
 
-test("EveryPageStopsAtTheSamePlace", async () => {
+test("EveryPageStopsAtTheSamePlace", limited, async () => {
     const page = await house.person();
     await page.locator("[data-entity=Counter]").waitFor();
     const places = new Set();
@@ -121,7 +123,7 @@ test("EveryPageStopsAtTheSamePlace", async () => {
     await page.context().close();
 });
 
-test("AHiddenTabStopsItsRobotAfterAWarning", async () => {
+test("AHiddenTabStopsItsRobotAfterAWarning", limited, async () => {
     const page = await house.person();
     await openEntity(page, "Counter");
     await page.getByRole("button", { name: "Check out Counter" }).click();
@@ -148,7 +150,7 @@ test("AHiddenTabStopsItsRobotAfterAWarning", async () => {
     await page.context().close();
 });
 
-test("ABackgroundTabWithoutTimersKeepsItsRobot", async () => {
+test("ABackgroundTabWithoutTimersKeepsItsRobot", limited, async () => {
     const programs = house.startPatientCounter();
     const [page, watcher] = await Promise.all([house.person({ name: "client1", script: throttleable }), house.person({ name: "client2" })]);
     await page.locator("[data-entity=Patient]").waitFor({ timeout: 20_000 });
@@ -173,7 +175,7 @@ test("ABackgroundTabWithoutTimersKeepsItsRobot", async () => {
     await Promise.all([page.context().close(), watcher.context().close()]);
 });
 
-test("ActivityTellsWhatWasRefusedAndHowFastStopsAre", async () => {
+test("ActivityTellsWhatWasRefusedAndHowFastStopsAre", limited, async () => {
     const page = await house.person();
     await openEntity(page, "Counter");
     await page.locator(".dock .stop").click();
@@ -197,7 +199,7 @@ test("ActivityTellsWhatWasRefusedAndHowFastStopsAre", async () => {
     await page.context().close();
 });
 
-test("PeopleFindARobotByWhatItIsAndCanDo", async () => {
+test("PeopleFindARobotByWhatItIsAndCanDo", limited, async () => {
     const page = await house.person({ name: "client1" });
     await page.locator("[data-entity=Counter]").waitFor();
     const names = () => page.locator("[data-entity]").evaluateAll((all) => all.map((one) => one.dataset.entity));
@@ -224,7 +226,7 @@ test("PeopleFindARobotByWhatItIsAndCanDo", async () => {
     await page.context().close();
 });
 
-test("TheServerIsStartedAgain", async () => {
+test("TheServerIsStartedAgain", limited, async () => {
     const page = await house.person();
     await openEntity(page, "Greeter");
     await page.getByRole("button", { name: "Check out Greeter" }).click();
@@ -259,7 +261,7 @@ test("TheServerIsStartedAgain", async () => {
     await page.context().close();
 });
 
-test("TextsAreNeverMarkup", async () => {
+test("TextsAreNeverMarkup", limited, async () => {
     // Two applications of one name are one too many, so the first one goes.
     await Promise.all([greeter.app.end(), greeter.manager.end()]);
     const programs = house.startGreeter((text) =>
@@ -304,7 +306,7 @@ test("TextsAreNeverMarkup", async () => {
     await Promise.all([programs.app.end(), programs.manager.end()]);
 });
 
-test("PagesFitAPhoneAndPeopleWhoSeeDifferently", async () => {
+test("PagesFitAPhoneAndPeopleWhoSeeDifferently", limited, async () => {
     for (const [width, scheme] of [
         [360, "light"],
         [1280, "dark"],
@@ -324,7 +326,7 @@ test("PagesFitAPhoneAndPeopleWhoSeeDifferently", async () => {
     }
 });
 
-test("AFileIsUploadedAndSeveralRobotsWorkTogether", async () => {
+test("AFileIsUploadedAndSeveralRobotsWorkTogether", limited, async () => {
     const five = join(ROOT, "examples/05_collaboration");
     const own = await House.open({ globalServices: join(five, "globalservices") });
     try {
@@ -369,7 +371,7 @@ test("AFileIsUploadedAndSeveralRobotsWorkTogether", async () => {
     }
 });
 
-test("UsersLogIn", async () => {
+test("UsersLogIn", limited, async () => {
     const own = await House.open({
         users: [
             ["olga", "observer", "correct horse"],
@@ -405,7 +407,7 @@ test("UsersLogIn", async () => {
     }
 });
 
-test("AnotherUserLogsInWithTheSameBrowser", async () => {
+test("AnotherUserLogsInWithTheSameBrowser", limited, async () => {
     const own = await House.open({
         users: [
             ["olga", "observer", "correct horse"],
@@ -460,7 +462,7 @@ test("AnotherUserLogsInWithTheSameBrowser", async () => {
     }
 });
 
-test("TheTransportIsRunFromTheConsole", { timeout: 240_000 }, async () => {
+test("TheTransportIsRunFromTheConsole", { timeout: 400_000 }, async () => {
     const own = await House.open({ globalServices: join(ROOT, "lab/globalservices"), transport: true });
     try {
         const page = await own.person({ name: "client1", width: 1440, height: 900 });
@@ -500,7 +502,7 @@ test("TheTransportIsRunFromTheConsole", { timeout: 240_000 }, async () => {
     }
 });
 
-test("NothingComesFromElsewhereAndNothingIsBlocked", async () => {
+test("NothingComesFromElsewhereAndNothingIsBlocked", limited, async () => {
     const page = await house.person();
     await page.locator("main h1").waitFor();
     const policy = (await page.request.get(house.url)).headers()["content-security-policy"] ?? "";

@@ -18,7 +18,18 @@ try {
     page.on("pageerror", (error) => complaints.push(error.message));
     page.on("console", (message) => message.type() === "error" && !/Failed to load resource/.test(message.text()) && complaints.push(message.text()));
     page.on("request", (request) => /^https?:/.test(request.url()) && !request.url().startsWith(url) && complaints.push(`asks ${request.url()}`));
-    page.on("websocket", (socket) => sockets.push(socket.url()));
+    /** Of the connections to the signal lane: what was sent, and how much has come. */
+    const signals = [];
+    page.on("websocket", (socket) => {
+        sockets.push(socket.url());
+        if (!socket.url().endsWith("/axon-signal")) return;
+        const one = { url: socket.url(), sent: [], received: 0, open: true };
+        signals.push(one);
+        socket.on("framesent", ({ payload }) => one.sent.push(/attachSignalLane|keepAlive|sendStopSignal/.exec(payload.toString("latin1"))?.[0]));
+        socket.on("framereceived", () => ++one.received);
+        socket.on("close", () => (one.open = false));
+    });
+    const signalLane = () => signals.find(({ open, sent, received }) => open && received > 0 && sent.includes("keepAlive"));
 
     const first = await page.goto(url);
     const { protocol, issuer } = await first.securityDetails();
@@ -37,8 +48,12 @@ try {
     assert.equal(await page.evaluate(() => document.cookie), "");
 
     await page.locator(`[data-entity="${entity}"] h3 a`).click();
+    // Heartbeats go over it as soon as the server has attached it, and every 2 s.
+    for (const end = Date.now() + 30_000; signalLane() === undefined; await page.waitForTimeout(50)) assert.ok(Date.now() < end, `no signal lane: ${JSON.stringify(signals)}`);
     await page.locator(".dock .stop").click();
     await page.getByText("Confirmed by it.").waitFor();
+    assert.ok(signalLane()?.sent.includes("sendStopSignal"), `the stop has not gone over the signal lane: ${JSON.stringify(signals)}`);
+    console.log(`stops at ${signalLane().url}`);
     assert.ok(sockets.length > 0 && sockets.every((one) => one.startsWith("wss://")), sockets.join(" "));
     console.log(`sessions at ${[...new Set(sockets)].join(" ")}`);
 

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Which part of the world the map shows, and how large.
+
+export interface View {
+    readonly scale: number;
+    readonly x: (metres: number) => number;
+    readonly y: (metres: number) => number;
+    readonly wide: number;
+    readonly high: number;
+    readonly step: number;
+}
+export interface Point {
+    readonly x: number;
+    readonly y: number;
+}
+type Line = readonly [number, number, number, number];
+
+/** More lines than this are none that somebody could tell from each other. */
+const LINES_MAX = 400;
+
+/** 1, 2 or 5 times a power of ten, so that some lines are seen. */
+function stepOf(span: number): number {
+    const rough = span / 8;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    return ([1, 2, 5].find((factor) => factor * power >= rough) ?? 10) * power;
+}
+/** What is around all of them; they are finite. */
+export function viewOf(places: readonly Point[], walls: readonly Line[] | undefined, wide: number, high: number): View {
+    const xs = [...places.map(({ x }) => x), ...(walls?.flatMap(([x1, , x2]) => [x1, x2]) ?? [])];
+    const ys = [...places.map(({ y }) => y), ...(walls?.flatMap(([, y1, , y2]) => [y1, y2]) ?? [])];
+    const least = (all: readonly number[]): number => all.reduce((a, b) => Math.min(a, b), Infinity);
+    const most = (all: readonly number[]): number => all.reduce((a, b) => Math.max(a, b), -Infinity);
+    const around = walls === undefined ? 1.2 : 0.4;
+    const low = { x: least(xs) - around, y: least(ys) - around };
+    const span = { x: Math.max(most(xs) + around - low.x, 2), y: Math.max(most(ys) + around - low.y, 2) };
+    const scale = Math.min(wide / span.x, high / span.y);
+    const left = (wide - span.x * scale) / 2;
+    const foot = (high + span.y * scale) / 2;
+    return { scale, wide, high, x: (metres) => left + (metres - low.x) * scale, y: (metres) => foot - (metres - low.y) * scale, step: stepOf(Math.min(wide, high) / scale) };
+}
+/** The multiples of `step` between two places, at most LINES_MAX of them. */
+export function linesBetween(from: number, to: number, step: number): readonly number[] {
+    const first = Math.ceil(from / step);
+    const count = Math.floor(to / step) - first + 1;
+    return count > 0 ? Array.from({ length: Math.min(count, LINES_MAX) }, (_, i) => (first + i) * step) : [];
+}
