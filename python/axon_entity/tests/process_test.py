@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What needs a process of its own: signals, the end of the interpreter, forks, and a blocked interpreter."""
 import os
+import pathlib
 import select
 import signal
 import socket
@@ -13,6 +14,7 @@ import pytest
 
 from axon_entity.testing import ScriptedManager
 
+EXAMPLE = pathlib.Path(__file__).resolve().parents[3] / "examples" / "python" / "06_device" / "turntable.py"
 BEGIN = """
     import ctypes, os, signal, sys, threading, time, warnings
     import axon_entity
@@ -38,8 +40,8 @@ class Robot:
         theirs.close()
         self.manager = None
 
-    def link(self, ports, **options):
-        self.manager = ScriptedManager("Process", ports=ports, **options)
+    def link(self, ports, application="Process", **options):
+        self.manager = ScriptedManager(application, ports=ports, **options)
         deadline = time.monotonic() + 20
         while True:
             try:
@@ -311,3 +313,41 @@ def test_a_guard_stops_the_device_of_a_killed_program(start):
     assert robot.line() == "guarded"
     robot.child.kill()
     assert robot.line() == "GUARD"
+
+
+def turntable(start, ports, tmp_path, lost):
+    """The example 06_device on the test's own line to a motor, with a device thread that finds the motor lost as `lost` says."""
+    (tmp_path / "ports.cfg").write_text(f"Axon.Ports = {ports[0]}-{ports[1]}\n")
+    robot = start(f"""
+        import runpy, socket, types
+        answers = iter({lost!r})
+
+        class DeviceThread:
+            angle_deg = 0.0
+            lost = property(lambda self: next(answers, True))
+            def __init__(self, line): pass
+            def __enter__(self): return self
+            def __exit__(self, *_): pass
+            def stop(self): pass
+
+        sys.modules["simulated_motor"] = types.SimpleNamespace(start_motor=lambda: socket.socket(fileno=DEVICE))
+        sys.modules["device_thread"] = types.SimpleNamespace(DeviceThread=DeviceThread)
+        sys.argv[1:] = [{str(tmp_path / "ports.cfg")!r}]
+        runpy.run_path({str(EXAMPLE)!r})
+    """)
+    return robot, robot.link(ports, "Turntable")
+
+
+def test_the_turntable_of_the_examples_orders_nothing_from_a_lost_motor(start, ports, tmp_path):
+    robot, manager = turntable(start, ports, tmp_path, [])
+    ending = manager.run("Turn", Angle=90.0).expect_failed()
+    assert "check its cable" in ending.reason
+    assert not select.select([robot.device], [], [], 0)[0], "no order came before it"
+
+
+def test_the_turntable_of_the_examples_is_told_to_stand_still_before_its_loss_is_reported(start, ports, tmp_path):
+    robot, manager = turntable(start, ports, tmp_path, [False, False, True])
+    ending = manager.run("Turn", Angle=90.0).expect_failed()
+    assert "check its cable" in ending.reason
+    assert select.select([robot.device], [], [], 0)[0]
+    assert robot.device.recv(4096) == b"SPEED 90\nSPEED 0\n"
