@@ -259,6 +259,62 @@ def test_a_handler_that_nothing_ends_does_not_keep_the_program_alive_for_ever(st
     assert "the program is ended (status 1)" in errors
 
 
+@pytest.mark.parametrize("where", ["handler", "on_stop"])
+@pytest.mark.parametrize("serve", ["entity.run()", "with entity: signal.sigwait({signal.SIGTERM})"])
+@pytest.mark.parametrize("call", ["ctypes.CDLL(None).pause()", "block.pause()"], ids=["interpreter_free", "interpreter_kept"])
+def test_the_end_of_run_and_of_with_is_forced_when_c_code_does_not_return(start, ports, where, serve, call):
+    if serve != "entity.run()" and call == "block.pause()":
+        pytest.skip("the signal reaches a program without run() only through the interpreter")
+    robot = start(f"""
+        from axon_entity import _entity
+        _entity.FORCE_EXIT_AFTER_S = 1.0
+        _entity.FORCE_EXIT_WITHOUT_INTERPRETER_AFTER_S = 2.0
+        entity.on_stop(native.write_bytes(DEVICE, b"STOP\\n"))
+        def for_ever():
+            say("blocked")
+            {call}
+        if {where == "on_stop"}:
+            entity.on_stop(lambda signal: for_ever())
+        @entity.service("Block")
+        def go():
+            for_ever()
+        if {serve.startswith("with")}:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGTERM}})
+        {serve}
+        say("not reached")
+    """)
+    manager = robot.link(ports)
+    if where == "handler":
+        manager.run("Block").expect_granted()
+        assert robot.line() == "blocked"
+    robot.child.send_signal(signal.SIGTERM)
+    assert robot.line() == "STOP"
+    status, errors = robot.end()
+    assert status == 1, errors
+    assert "the program is ended (status 1)" in errors
+
+
+def test_a_fork_with_a_logger_ends_though_its_threads_are_not_there(start):
+    robot = start("""
+        import gc, logging
+        entity = axon_entity.Entity("Process", category="MACHINE", ports=(int(sys.argv[2]), int(sys.argv[3])), logger=logging.getLogger("robot"))
+        entity.start()
+        while not any(thread.name == "axon-log" for thread in threading.enumerate()):
+            pause(0.01)
+        pause(0.2)  # the thread waits for log lines
+        warnings.simplefilter("ignore")
+        child = os.fork()
+        if child == 0:
+            signal.alarm(10)
+            del entity
+            gc.collect()
+            sys.exit(0)
+        say("status %d" % os.waitpid(child, 0)[1])
+    """)
+    assert robot.line(30) == "status 0"
+    assert robot.end()[0] == 0
+
+
 def test_a_fork_is_warned_of_and_the_copy_is_refused(start):
     robot = start("""
         entity.service("Go")(lambda: None)

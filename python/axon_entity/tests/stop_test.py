@@ -3,10 +3,12 @@
 import fcntl
 import os
 import pty
+import signal
 import socket
 import sys
 import threading
 import time
+import tty
 import warnings
 
 import pytest
@@ -92,6 +94,146 @@ def test_a_device_that_takes_nothing_is_a_failure_within_the_bound():
     assert action.failures == 1
     os.close(out)
     os.close(into)
+
+
+@pytest.fixture
+def terminal():
+    """A pseudo-terminal: the master, and the line as bytes go through it."""
+    master, line = pty.openpty()
+    tty.setraw(line)
+    yield master, line
+    os.close(master)
+    os.close(line)
+
+
+def test_the_master_of_a_pseudo_terminal_is_written_to_and_not_opened_again(terminal):
+    master, line = terminal
+    os.set_blocking(line, False)
+    native.write_bytes(master, b"STOP\n").carry_out()
+    assert os.read(line, 99) == b"STOP\n"
+
+
+def test_a_descriptor_that_blocks_is_a_failure_within_the_bound_and_works_again_when_it_is_read(terminal):
+    master, line = terminal
+    os.set_blocking(master, False)
+    try:
+        while True:
+            os.write(master, b"x" * 4096)
+    except BlockingIOError:
+        pass
+    os.set_blocking(master, True)
+    # Nothing is discarded by the stop: a master has nothing of its own that waits.
+    action = native.write_bytes(master, b"STOP\n" * 800, within=0.05)
+    began = time.monotonic()
+    with pytest.raises(RuntimeError, match="in time"):
+        for _ in range(50):  # until the line is full again, whatever was discarded
+            action.carry_out()
+    assert time.monotonic() - began < 10
+
+    def read():
+        while not os.read(line, 65536).endswith(b"END\n"):
+            pass
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    deadline = time.monotonic() + 10
+    while True:
+        try:
+            action.carry_out()
+            break
+        except RuntimeError:
+            assert time.monotonic() < deadline
+    native.write_bytes(master, b"END\n", within=10).carry_out()
+    reader.join(10)
+    assert not reader.is_alive()
+
+
+@pytest.mark.parametrize("kind", ["a socket", "a descriptor that blocks"])
+def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, terminal, kind):
+    if kind == "a socket":
+        into, read = pair[0].fileno(), lambda: pair[1].recv(65536)
+    else:
+        into, read = terminal[0], lambda: os.read(terminal[1], 65536)
+    bound_s = 20
+    line = native.write_bytes(into, b"\nSTOP\n", within=bound_s)
+    begins, ended, orders = threading.Event(), threading.Event(), []
+
+    def prepare(entity):
+        @entity.service("Order")
+        def order(task):
+            begins.set()
+            try:
+                while task.order(line, b"x" * 4096):  # until the device takes no more
+                    pass
+                orders.append("gave up")
+            except RuntimeError as error:
+                orders.append(str(error))
+            ended.set()
+            while not read().endswith(b"\nSTOP\n"):
+                pass
+
+        entity.on_stop(line)
+
+    entity, manager = linked(ports, prepare)
+    manager.run("Order").expect_granted()
+    assert begins.wait(10)
+    time_of_stop = time.monotonic()
+    line.carry_out()
+    assert time.monotonic() - time_of_stop < bound_s / 2
+    assert ended.wait(10) and orders == ["gave up"]
+    line.release()
+    manager.disconnect()
+    entity.shutdown()
+
+
+def test_close_fd_closes_no_other_file_that_has_got_the_number(pair):
+    ours, theirs = pair
+    action = native.close_fd(ours.fileno())
+    other, their_other = socket.socketpair()
+    os.dup2(other.fileno(), ours.fileno())  # as if the number were used again
+    with pytest.raises(RuntimeError, match=r"another file now.*fix: call action.release\(\)"):
+        action.carry_out()
+    assert not action.closed
+    ours.send(b"x")
+    assert their_other.recv(9) == b"x", "the other file is open"
+    action.watch(ours.fileno())
+    action.carry_out()
+    assert their_other.recv(9) == b""
+    action.release()
+    action.carry_out()
+    other.close()
+    their_other.close()
+
+
+def test_a_connection_that_was_opened_again_without_watch_is_a_failed_stop(pair):
+    ours, theirs = pair
+    action = native.close_fd(ours.fileno())
+    action.carry_out()
+    again, their_again = socket.socketpair()
+    os.dup2(again.fileno(), ours.fileno())
+    with pytest.raises(RuntimeError, match="another file now.*action.watch"):
+        action.carry_out()
+    again.close()
+    their_again.close()
+
+
+def test_close_fd_has_nothing_to_close_when_the_program_has_closed_it(pair):
+    ours, theirs = pair
+    action = native.close_fd(ours.fileno())
+    ours.close()
+    action.carry_out()
+    assert theirs.recv(9) == b""
+
+
+def test_a_program_whose_status_another_has_collected_is_a_failed_stop(tmp_path):
+    action = native.run_command(["/bin/true"], within=10)
+    former = signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel collects it
+    try:
+        with pytest.raises(RuntimeError, match="another part of this program has collected its status; fix: do not ignore SIGCHLD"):
+            action.carry_out()
+    finally:
+        signal.signal(signal.SIGCHLD, former)
+    action.carry_out()
 
 
 def test_close_fd_ends_the_connection_and_keeps_the_number(pair):
