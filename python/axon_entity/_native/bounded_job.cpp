@@ -50,9 +50,7 @@ BoundedJob::Outcome BoundedJob::run(Job job, Clock::time_point until,
                                     const std::function<bool()>& interrupted) {
     std::unique_lock lock(state_->mutex);
     bool in_time = true;
-    const auto wait = [&] {
-        in_time = state_->changed.wait_until(lock, until) != std::cv_status::timeout;
-    };
+    const auto wait = [&] { in_time = state_->changed.wait_until(lock, until) != std::cv_status::timeout; };
     while (state_->current && in_time && !interrupted()) wait();
     if (interrupted()) return Outcome::Interrupted;
     if (state_->current) return Outcome::Late;

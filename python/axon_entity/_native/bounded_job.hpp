@@ -6,11 +6,12 @@
 
 namespace axon::python {
 
-/// Runs jobs that may block in the system for an unknown time, such as writing to a device whose driver waits.
+/// Runs jobs that may block in the system for an unknown time, such as writing to a device whose driver
+/// waits.
 ///
-/// A job runs on a thread of this object, one after the other, and the caller stops waiting at a time limit or
-/// when it is interrupted. The job goes on then, and so does its thread, also when this object has ended: what a
-/// job uses belongs to the job. Until it has returned, no other one begins.
+/// A job runs on a thread of this object, one after the other, and the caller stops waiting at a time limit
+/// or when it is interrupted. The job goes on then, and so does its thread, also when this object has ended:
+/// what a job uses belongs to the job. Until it has returned, no other one begins.
 ///
 /// Threads: run() and interrupt() may be called by any. In a process that was forked from its own there is no
 /// thread for jobs, and each one is late.
@@ -26,8 +27,8 @@ class BoundedJob {
     BoundedJob(const BoundedJob&) = delete;
     BoundedJob& operator=(const BoundedJob&) = delete;
 
-    /// Waits for a former job, too. Throws what the job throws. `interrupted` is asked before the job begins and
-    /// after each interrupt().
+    /// Waits for a former job, too. Throws what the job throws. `interrupted` is asked before the job begins
+    /// and after each interrupt().
     Outcome run(Job job, Clock::time_point until, const std::function<bool()>& interrupted);
     void interrupt();
 

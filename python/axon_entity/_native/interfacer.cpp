@@ -367,7 +367,8 @@ bool Interfacer::finish(double seconds) {
     std::thread closed;
     {
         std::unique_lock lock(state_->mutex);
-        if (!state_->changed.wait_for(lock, nanoseconds(seconds), [&] { return state_->finished; })) return false;
+        if (!state_->changed.wait_for(lock, nanoseconds(seconds), [&] { return state_->finished; }))
+            return false;
         closed = std::move(state_->closer);
     }
     if (closed.joinable()) closed.join();
@@ -393,7 +394,8 @@ void Interfacer::log(LogLevel level, const std::string& text) {
 
 std::vector<std::pair<int, std::string>> Interfacer::takeLog(double seconds) {
     std::unique_lock lock(state_->log_mutex);
-    state_->log_changed.wait_for(lock, nanoseconds(seconds), [&] { return !state_->log.empty() || state_->log_ended; });
+    state_->log_changed.wait_for(lock, nanoseconds(seconds),
+                                 [&] { return !state_->log.empty() || state_->log_ended; });
     std::vector<std::pair<int, std::string>> lines(state_->log.begin(), state_->log.end());
     state_->log.clear();
     if (const auto lost = std::exchange(state_->log_lost, 0); lost > 0)

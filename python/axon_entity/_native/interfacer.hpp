@@ -75,8 +75,8 @@ class Interfacer {
     void quit();
     /// Stops the robot and ends the link, on a thread of its own.
     void beginShutdown();
-    /// Ends the process with status 1 if not everything has ended within this time, also while something keeps
-    /// the interpreter. Only the first call counts.
+    /// Ends the process with status 1 if not everything has ended within this time, also while something
+    /// keeps the interpreter. Only the first call counts.
     void forceExitAfter(double seconds);
     /// Whether everything has ended within this time.
     bool finish(double seconds);
@@ -106,8 +106,8 @@ class Interfacer {
     std::atomic<pid_t> process_{0};  // of start(); 0 before
     std::atomic<std::uint64_t> stops_{0};
 
-    /// Everything that a thread waits for. In a forked process it stays as it is: destroying a condition variable
-    /// for which a thread of the former process waits would never end.
+    /// Everything that a thread waits for. In a forked process it stays as it is: destroying a condition
+    /// variable for which a thread of the former process waits would never end.
     struct State {
         std::mutex mutex;
         std::condition_variable changed;

@@ -53,8 +53,8 @@ std::string checkBytes(std::string bytes) {
     return bytes;
 }
 
-/// A second opening of the same line or pipe, which does not block and leaves the caller's flags alone; -1 if the
-/// file is of another kind, of which a second opening would be something else, or cannot be opened.
+/// A second opening of the same line or pipe, which does not block and leaves the caller's flags alone; -1 if
+/// the file is of another kind, of which a second opening would be something else, or cannot be opened.
 int openAgain(int descriptor) {
     struct stat about {};
     if (::fstat(descriptor, &about) != 0) return -1;
@@ -244,10 +244,9 @@ void WriteBytes::act() {
             [path = path_, bytes = bytes_](const std::function<bool()>& abandoned) {
                 struct stat about {};
                 const bool regular = ::stat(path.c_str(), &about) == 0 && S_ISREG(about.st_mode);
-                const int opened = ::open(path.c_str(), O_WRONLY | O_NOCTTY | O_CLOEXEC | O_NONBLOCK |
-                                                            (regular ? O_APPEND : 0));
-                if (opened < 0)
-                    throw std::runtime_error("write_bytes: " + path.string() + ": " + why(errno));
+                const int opened = ::open(
+                    path.c_str(), O_WRONLY | O_NOCTTY | O_CLOEXEC | O_NONBLOCK | (regular ? O_APPEND : 0));
+                if (opened < 0) throw std::runtime_error("write_bytes: " + path.string() + ": " + why(errno));
                 const Line line(opened, true);
                 writeBlocking(opened, bytes, abandoned);
             },
@@ -285,8 +284,7 @@ bool WriteBytes::onThread(BoundedJob::Job job, bool is_order) {
         const std::lock_guard lock(jobs_mutex_);
         jobs = jobs_;
     }
-    const auto outcome =
-        jobs->run(std::move(job), Clock::now() + within_, [&] { return giveUp(is_order); });
+    const auto outcome = jobs->run(std::move(job), Clock::now() + within_, [&] { return giveUp(is_order); });
     if (outcome == BoundedJob::Outcome::Late)
         throw std::runtime_error("write_bytes: the device did not take the bytes in time");
     return outcome == BoundedJob::Outcome::Done;
@@ -372,7 +370,8 @@ void RunCommand::start() {
 
 std::string RunCommand::statusIsUnknown() const {
     return describe() +
-           " has ended, but another part of this program has collected its status; fix: do not ignore SIGCHLD, "
+           " has ended, but another part of this program has collected its status; fix: do not ignore "
+           "SIGCHLD, "
            "and wait for your own processes only";
 }
 

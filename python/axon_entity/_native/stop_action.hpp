@@ -53,8 +53,8 @@ struct FileIdentity {
 /// and puts a dead connection in the place of the descriptor. So its number cannot come to mean another file,
 /// writing to it fails (EPIPE), and reading from it finds the end.
 ///
-/// If the number means another file than the one that was given, nothing is closed and the stop has failed. If
-/// it means no file, the program has ended the connection itself, and there is nothing to close.
+/// If the number means another file than the one that was given, nothing is closed and the stop has failed.
+/// If it means no file, the program has ended the connection itself, and there is nothing to close.
 class CloseDescriptor : public StopAction {
   public:
     /// Throws std::invalid_argument if the descriptor is not open.
@@ -78,10 +78,10 @@ class CloseDescriptor : public StopAction {
 
 /// Writes bytes to a device. Never waits longer than `within`.
 ///
-/// A terminal and a pipe are opened again, which gives a descriptor that does not block, and a socket can be told
-/// not to. Any other file is duplicated, because opening it again would be another device (the master of a
-/// pseudo-terminal) or lose what was set (an I2C address). Writing to it may block, and happens on a thread of its
-/// own.
+/// A terminal and a pipe are opened again, which gives a descriptor that does not block, and a socket can be
+/// told not to. Any other file is duplicated, because opening it again would be another device (the master of
+/// a pseudo-terminal) or lose what was set (an I2C address). Writing to it may block, and happens on a thread
+/// of its own.
 class WriteBytes : public StopAction {
   public:
     /// Keeps a duplicate of the descriptor. Throws std::invalid_argument if it is not open, or for no bytes.
@@ -94,8 +94,8 @@ class WriteBytes : public StopAction {
     void release();
     /// Writes an order of a task, unless a stop of the task is requested; then returns false. No order
     /// follows the bytes of a stop: `stopped` becomes true before the action is carried out, and both take
-    /// turns. An order that a device does not take gives up as soon as a stop waits, and returns false; a part
-    /// of it may be written.
+    /// turns. An order that a device does not take gives up as soon as a stop waits, and returns false; a
+    /// part of it may be written.
     bool order(const std::function<bool()>& stopped, const std::string& bytes);
 
   private:
@@ -118,8 +118,8 @@ class WriteBytes : public StopAction {
 };
 
 /// Runs a program and waits at most `within` for its end. A program that takes longer goes on; until it has
-/// ended, no second one is started. A program whose status another part of this process has collected counts as
-/// failed, because nobody knows whether it has stopped the robot.
+/// ended, no second one is started. A program whose status another part of this process has collected counts
+/// as failed, because nobody knows whether it has stopped the robot.
 class RunCommand : public StopAction {
   public:
     /// `words` begins with the path of the program.
