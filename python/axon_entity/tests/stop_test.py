@@ -3,6 +3,7 @@
 import fcntl
 import os
 import pty
+import select
 import signal
 import socket
 import sys
@@ -96,46 +97,33 @@ def test_a_device_that_takes_nothing_is_a_failure_within_the_bound():
     os.close(into)
 
 
-@pytest.fixture
-def terminal():
-    """A pseudo-terminal: the master, and the line as bytes go through it."""
+def test_the_master_of_a_pseudo_terminal_is_written_to_and_not_opened_again():
     master, line = pty.openpty()
     tty.setraw(line)
-    yield master, line
+    native.write_bytes(master, b"STOP\n").carry_out()
+    assert select.select([line], [], [], 10)[0]
+    assert os.read(line, 99) == b"STOP\n"
     os.close(master)
     os.close(line)
 
 
-def test_the_master_of_a_pseudo_terminal_is_written_to_and_not_opened_again(terminal):
-    master, line = terminal
-    os.set_blocking(line, False)
-    native.write_bytes(master, b"STOP\n").carry_out()
-    assert os.read(line, 99) == b"STOP\n"
+FULL = 2**64 - 2  # of an eventfd: writing to it blocks
 
 
-def test_a_descriptor_that_blocks_is_a_failure_within_the_bound_and_works_again_when_it_is_read(terminal):
-    master, line = terminal
-    os.set_blocking(master, False)
-    try:
-        while True:
-            os.write(master, b"x" * 4096)
-    except BlockingIOError:
-        pass
-    os.set_blocking(master, True)
-    # Nothing is discarded by the stop: a master has nothing of its own that waits.
-    action = native.write_bytes(master, b"STOP\n" * 800, within=0.05)
+def number(value):
+    return value.to_bytes(8, sys.byteorder)
+
+
+def test_a_descriptor_that_blocks_is_a_failure_within_the_bound_and_works_when_the_device_takes_it():
+    device = os.eventfd(FULL & 0xFFFFFFFF)
+    os.eventfd_write(device, FULL - (FULL & 0xFFFFFFFF))
+    action = native.write_bytes(device, number(1), within=0.05)
     began = time.monotonic()
-    with pytest.raises(RuntimeError, match="in time"):
-        for _ in range(50):  # until the line is full again, whatever was discarded
+    for _ in range(2):  # the second time it waits for the first one
+        with pytest.raises(RuntimeError, match="did not take the bytes in time"):
             action.carry_out()
-    assert time.monotonic() - began < 10
-
-    def read():
-        while not os.read(line, 65536).endswith(b"END\n"):
-            pass
-
-    reader = threading.Thread(target=read)
-    reader.start()
+    assert time.monotonic() - began < 5
+    assert os.eventfd_read(device) == FULL
     deadline = time.monotonic() + 10
     while True:
         try:
@@ -143,45 +131,49 @@ def test_a_descriptor_that_blocks_is_a_failure_within_the_bound_and_works_again_
             break
         except RuntimeError:
             assert time.monotonic() < deadline
-    native.write_bytes(master, b"END\n", within=10).carry_out()
-    reader.join(10)
-    assert not reader.is_alive()
+    assert os.eventfd_read(device) >= 2, "what was late has arrived, and then what was confirmed"
+    os.close(device)
 
 
-@pytest.mark.parametrize("kind", ["a socket", "a descriptor that blocks"])
-def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, terminal, kind):
-    if kind == "a socket":
-        into, read = pair[0].fileno(), lambda: pair[1].recv(65536)
+@pytest.mark.parametrize("kind", ["socket", "blocking"])
+def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, kind):
+    """At a device that takes nothing until the order has given up."""
+    bound_s = 20.0
+    if kind == "socket":
+        into, order_bytes, stop_bytes = pair[0].fileno(), b"x" * 4096, b"\nSTOP\n"
     else:
-        into, read = terminal[0], lambda: os.read(terminal[1], 65536)
-    bound_s = 20
-    line = native.write_bytes(into, b"\nSTOP\n", within=bound_s)
-    begins, ended, orders = threading.Event(), threading.Event(), []
+        into, order_bytes, stop_bytes = os.eventfd(0), number(2**63), number(1)
+    line = native.write_bytes(into, stop_bytes, within=bound_s)
+    ended = []
+
+    def read_until_the_stop():
+        while True:
+            if kind == "socket":
+                if pair[1].recv(65536).endswith(stop_bytes):
+                    return
+            elif os.eventfd_read(into) % 2 == 1:
+                return
 
     def prepare(entity):
         @entity.service("Order")
         def order(task):
-            begins.set()
             try:
-                while task.order(line, b"x" * 4096):  # until the device takes no more
+                while task.order(line, order_bytes):
                     pass
-                orders.append("gave up")
+                ended.append("gave up")
             except RuntimeError as error:
-                orders.append(str(error))
-            ended.set()
-            while not read().endswith(b"\nSTOP\n"):
-                pass
-
-        entity.on_stop(line)
+                ended.append(str(error))
+            read_until_the_stop()
 
     entity, manager = linked(ports, prepare)
     manager.run("Order").expect_granted()
-    assert begins.wait(10)
-    time_of_stop = time.monotonic()
+    deadline = time.monotonic() + 10
+    while select.select([], [into], [], 0)[1]:  # until an order has to wait
+        assert time.monotonic() < deadline
+    began = time.monotonic()
     line.carry_out()
-    assert time.monotonic() - time_of_stop < bound_s / 2
-    assert ended.wait(10) and orders == ["gave up"]
-    line.release()
+    assert time.monotonic() - began < bound_s / 2
+    assert ended == ["gave up"]
     manager.disconnect()
     entity.shutdown()
 
