@@ -284,6 +284,9 @@ def test_the_end_of_run_and_of_with_is_forced_when_c_code_does_not_return(start,
         say("not reached")
     """)
     manager = robot.link(ports)
+    deadline = time.monotonic() + 20
+    while serve == "entity.run()" and not _in_run(robot):
+        assert time.monotonic() < deadline
     if where == "handler":
         manager.run("Block").expect_granted()
         assert robot.line() == "blocked"

@@ -142,7 +142,7 @@ def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, kind):
     if kind == "socket":
         into, order_bytes, stop_bytes = pair[0].fileno(), b"x" * 4096, b"\nSTOP\n"
     else:
-        into, order_bytes, stop_bytes = os.eventfd(0), number(2**63), number(1)
+        into, order_bytes, stop_bytes = os.eventfd(0), number(FULL), number(1)
     line = native.write_bytes(into, stop_bytes, within=bound_s)
     ended = []
 
