@@ -4,15 +4,17 @@
 
     PYTHONPATH=build/release/python /usr/bin/python3 faults/blocked_interpreter.py --bin build/release/bin --trials 500
 
-In each trial a client runs a service whose handler keeps the interpreter lock in C code (a ctypes.PyDLL call), so that no other Python
-thread of the robot runs. Then the client is killed (kill-client), or somebody orders a stop (stop). The robot's only stop action is native:
-write_bytes to its device. The device is a socket that this program reads. Measured is the time from the kill to the device's first stop
-byte; of a stop, what its receipt says: from the call to the return of the robot's stop callback. A trial in which the handler's own byte,
-which it sends when it is free again, comes first counts as never.
+In each trial a client runs a service whose handler blocks the interpreter: it keeps the interpreter lock in C code (a ctypes.PyDLL call),
+so that no other Python thread of the robot runs (c-call), or it is an endless loop in Python that does not look whether it is to stop
+(loop). So that the next trial can begin, both end after a time that no stop should need. Then the client is killed (kill-client), or
+somebody orders a stop (stop). The robot's only stop action is native: write_bytes to its device. The device is a socket that this program
+reads. Measured is the time from the kill to the device's first stop byte; of a stop, what its receipt says: from the call to the return of
+the robot's stop callback. A trial in which the handler's own byte, which it sends when it is free again, comes first counts as never.
 Exit status: 1 if a trial never reached the device or took longer than --bound; 2 if it could not be run.
 """
 import argparse
 import ctypes
+import itertools
 import json
 import os
 import pathlib
@@ -35,9 +37,14 @@ def robot(descriptor, ports_file):
     holds_the_interpreter = ctypes.PyDLL(None)
 
     @entity.service("Block")
-    def block(Seconds: float) -> None:
+    def block(Seconds: float, Loop: bool) -> None:
         device.send(b"B")
-        holds_the_interpreter.usleep(int(Seconds * 1e6))
+        end = time.monotonic() + Seconds
+        if Loop:
+            while time.monotonic() < end:
+                pass
+        else:
+            holds_the_interpreter.usleep(int(Seconds * 1e6))
         device.send(b"E")
 
     entity.run()
@@ -63,14 +70,8 @@ class Trials:
         config.touch(0o600)
         config.write_text("Axon.LeaseGrace=0\n")
         self.device, theirs = socket.socketpair()
-        os.set_inheritable(theirs.fileno(), True)
-        process = Process.__new__(Process)  # as its constructor, with one descriptor more
-        process.name, process.log = "robot", lab.folder / "robot.log"
-        process.command = [sys.executable, __file__, "--robot", str(theirs.fileno()), "--ports-file", str(ports)]
-        process.output = open(process.log, "ab")
-        import subprocess
-        process.child = subprocess.Popen(process.command, stdin=subprocess.DEVNULL, stdout=process.output, stderr=subprocess.STDOUT,
-                                         env=lab.env, start_new_session=True, pass_fds=[theirs.fileno()])
+        process = Process("robot", [sys.executable, __file__, "--robot", theirs.fileno(), "--ports-file", ports], lab.folder, lab.env,
+                          pass_fds=[theirs.fileno()])
         lab.processes.append(process)
         theirs.close()
         lab.start_manager("", "--config", config, "--state", lab.folder / "state")
@@ -82,12 +83,13 @@ class Trials:
             return b"", None
         return self.device.recv(1), time.monotonic()
 
-    def trial(self, kind):
+    def trial(self, block, kind):
         """Seconds to the stop, or None if it never came while the interpreter was blocked."""
         while self.byte(ALREADY_S)[0]:
             pass
         block_s = self.block_s + (START_S if kind == "stop" else 0)
-        client = self.lab.axon_in_background("client", "run", "Blocked", "Block", f"Seconds={block_s}")
+        client = self.lab.axon_in_background("client", "run", "Blocked", "Block", f"Seconds={block_s}",
+                                            f"Loop={str(block == 'loop').lower()}")
         while (got := self.byte(20)[0]) != b"B":
             if not got:
                 raise self.failed(f"the task did not begin: {client.text()}")
@@ -130,7 +132,8 @@ class Trials:
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bin", default=str(ROOT / "build" / "dev" / "bin"), help="folder of the programs")
-    parser.add_argument("--trials", type=int, default=20, help="trials of each kind (default: 20)")
+    parser.add_argument("--trials", type=int, default=20, help="trials of each block and kind (default: 20)")
+    parser.add_argument("--blocks", default="c-call,loop", help="c-call, loop or both (default: both)")
     parser.add_argument("--kinds", default="kill-client,stop", help="kill-client, stop or both (default: both)")
     parser.add_argument("--block", type=float, default=1.0, metavar="SECONDS", help="how long the interpreter is blocked (default: 1)")
     parser.add_argument("--bound", type=float, default=0.35, metavar="SECONDS", help="watchdog + 100 ms (default: 0.35)")
@@ -141,23 +144,24 @@ def main():
     if arguments.robot is not None:
         robot(arguments.robot, arguments.ports_file)
         return 0
-    kinds = arguments.kinds.split(",")
-    if arguments.trials < 1 or not 0.1 <= arguments.block <= 30 or not set(kinds) <= {"kill-client", "stop"}:
-        parser.error("expected --trials of 1 or more, --block from 0.1 to 30, --kinds of kill-client and stop")
+    blocks, kinds = arguments.blocks.split(","), arguments.kinds.split(",")
+    if arguments.trials < 1 or not 0.1 <= arguments.block <= 30 or not set(kinds) <= {"kill-client", "stop"} \
+            or not set(blocks) <= {"c-call", "loop"}:
+        parser.error("expected --trials of 1 or more, --block from 0.1 to 30, --blocks of c-call and loop, --kinds of kill-client and stop")
     ok, figures = True, {}
     trials = Trials(arguments)
     try:
-        for kind in kinds:
-            took = [trials.trial(kind) for _ in range(arguments.trials)]
+        for block, kind in itertools.product(blocks, kinds):
+            took = [trials.trial(block, kind) for _ in range(arguments.trials)]
             arrived = sorted(one * 1000 for one in took if one is not None)
             never = len(took) - len(arrived)
             late = sum(one > arguments.bound * 1000 for one in arrived)
             figure = {"n": len(took), "never": never, "late": late}
             if arrived:
                 figure |= {"p50_ms": percentile(arrived, 0.5), "p99_ms": percentile(arrived, 0.99), "max_ms": arrived[-1]}
-            figures[kind] = figure
+            figures.setdefault(block, {})[kind] = figure
             ok = ok and never == 0 and late == 0
-            print(f"{kind}: n {len(took)}, never {never}, " + ", ".join(
+            print(f"{block}, {kind}: n {len(took)}, never {never}, " + ", ".join(
                 f"{name[:-3]} {figure[name]:.1f} ms" for name in ("p50_ms", "p99_ms", "max_ms") if name in figure), flush=True)
     except trials.failed as error:
         print(f"blocked_interpreter: {error}", file=sys.stderr)
@@ -165,7 +169,7 @@ def main():
         return 2
     trials.end(not ok)
     if arguments.json:
-        pathlib.Path(arguments.json).write_text(json.dumps({"host": os.uname().nodename, "block_s": arguments.block, "kinds": figures}, indent=1) + "\n")
+        pathlib.Path(arguments.json).write_text(json.dumps({"host": os.uname().nodename, "block_s": arguments.block, "blocks": figures}, indent=1) + "\n")
     return 0 if ok else 1
 
 

@@ -31,13 +31,14 @@ class Failed(Exception):
 
 
 class Process:
-    def __init__(self, name, command, folder, env):
+    def __init__(self, name, command, folder, env, pass_fds=()):
+        """`pass_fds`: open descriptors that the process gets with their numbers."""
         self.name = name
         self.command = [str(word) for word in command]
         self.log = folder / f"{name}.log"
         self.output = open(self.log, "ab")
         self.child = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=self.output,
-                                      stderr=subprocess.STDOUT, env=env, start_new_session=True)
+                                      stderr=subprocess.STDOUT, env=env, start_new_session=True, pass_fds=pass_fds)
 
     def text(self):
         return self.log.read_text(errors="replace")

@@ -16,7 +16,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Literal, Optional, Protocol, TypeVar, Union, overload
+from typing import Any, Literal, NoReturn, Optional, Protocol, TypeVar, Union, overload
 
 from . import _native
 from ._annotations import ParameterSpec, Signature, check_name, check_text, parameter_spec, read_signature
@@ -32,6 +32,8 @@ _warned_of_native_stop = False
 # How long handlers may go on after a shutdown until they are interrupted, and the end of the program until it is forced.
 INTERRUPT_AFTER_S = 3.0
 FORCE_EXIT_AFTER_S = 10.0
+# The same without the interpreter, which a handler may keep.
+FORCE_EXIT_WITHOUT_INTERPRETER_AFTER_S = 11.0
 
 
 class Failed(Exception):
@@ -110,8 +112,10 @@ class Task:
     def order(self, line: _native.WriteBytes, data: bytes) -> bool:
         """Writes an order to the device of a ``native.write_bytes`` action, unless this task is to stop.
 
-        Returns False if nothing was written, because the task is cancelled. The action and its orders take turns, so
-        no order of this task can follow the bytes of a stop. Raises RuntimeError if the device does not take it.
+        Returns False if it was not written, because the task is cancelled. The action and its orders take turns, so
+        no order of this task can follow the bytes of a stop. An order that the device does not take gives up as soon
+        as a stop waits, and a part of it may be written then. Raises RuntimeError if the device does not take it
+        within the ``within`` of the action.
         """
         return line.order(self._native, data)
 
@@ -577,12 +581,14 @@ class Entity:
         """Starts, serves until Ctrl-C, SIGTERM or ``quit()``, and shuts down. Call it on the main thread.
 
         Ctrl-C and SIGTERM stop the robot even while the interpreter is blocked, and do not raise KeyboardInterrupt.
+        If a handler or ``on_stop`` has not returned 10 s after the beginning of the shutdown, the program is ended with
+        status 1.
         """
         self.start()
         try:
-            self._native.wait_until_quit()
+            self._native.wait_until_quit(FORCE_EXIT_WITHOUT_INTERPRETER_AFTER_S)
         finally:
-            self.shutdown()
+            self._shutdown_or_exit()
 
     def quit(self) -> None:
         """Ends ``run()``. Any thread may call it, handlers and callbacks included."""
@@ -592,9 +598,16 @@ class Entity:
         """Stops the robot, ends the link and waits until every handler has returned.
 
         A handler that has not returned after 3 s is interrupted by the exception ``Stopped``. In a handler or
-        callback it only begins the shutdown.
+        callback it only begins the shutdown. It has no time limit; the ends of ``run()`` and of ``with entity:`` have
+        one of 10 s, after which the program is ended.
         """
         self._shutdown(None)
+
+    def _shutdown_or_exit(self) -> None:
+        """Ends the program, with status 1, if a handler or on_stop does not return."""
+        self._native.force_exit_after(FORCE_EXIT_WITHOUT_INTERPRETER_AFTER_S)
+        if not self._shutdown(FORCE_EXIT_AFTER_S):
+            _force_exit()
 
     def _shutdown(self, at_most_s: Optional[float]) -> bool:
         self._native.begin_shutdown()
@@ -621,7 +634,10 @@ class Entity:
         return self.start()
 
     def __exit__(self, kind: Optional[type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]) -> None:
-        self.shutdown()
+        if threading.get_ident() in self._inside:
+            self.shutdown()  # which only begins it
+        else:
+            self._shutdown_or_exit()
 
     # Inside.
 
@@ -707,7 +723,7 @@ class Entity:
         return Task(native, service)
 
     def _handle(self, native: _native.Task) -> None:
-        with self._entered(f"the handler of '{native.service}'", handler=True):
+        with self._entered(f"the handler of '{native.service}'"):
             task = self._task(native)
             try:
                 self._services[native.service].call(task)
@@ -724,7 +740,7 @@ class Entity:
             self._stop_function(signal)
 
     @contextlib.contextmanager
-    def _entered(self, what: str, handler: bool = False) -> Iterator[None]:
+    def _entered(self, what: str) -> Iterator[None]:
         thread = threading.get_ident()
         former = self._inside.get(thread)
         self._inside[thread] = what
@@ -767,10 +783,15 @@ def _at_exit() -> None:
         except KeyboardInterrupt:
             forced = True
     if forced:
-        _log.error("a handler or on_stop has not returned for %g s after the shutdown; the program is ended (status 1)", FORCE_EXIT_AFTER_S)
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(1)
+        _force_exit()
+
+
+def _force_exit() -> NoReturn:
+    _log.error("a handler or on_stop has not returned for %g s after the shutdown; the program is ended (status 1)", FORCE_EXIT_AFTER_S)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(Exception):  # nobody may read them any longer
+            stream.flush()
+    os._exit(1)
 
 
 def _before_fork() -> None:

@@ -28,7 +28,9 @@ def close_fd(fd: int) -> CloseDescriptor:
 
     What a serial line has not sent yet is discarded, and a socket is shut down. The number of the descriptor stays
     in use, so that closing the Python object later closes nothing else: writing to it raises BrokenPipeError, and
-    reading finds the end. After opening the connection again, call ``action.watch(port.fileno())``.
+    reading finds the end. Call ``action.release()`` before the program itself closes the connection, and
+    ``action.watch(port.fileno())`` after it has opened it again: a stop fails, and closes nothing, if the number has
+    come to mean another file.
     """
     return CloseDescriptor(_descriptor(fd, "close_fd"))
 
@@ -36,7 +38,7 @@ def close_fd(fd: int) -> CloseDescriptor:
 def write_bytes(to: Union[int, str, "os.PathLike[str]"], data: bytes, *, within: float = 0.1) -> WriteBytes:
     """Writes 1 to 4096 bytes to a descriptor or to a file, and waits at most ``within`` seconds (0.001 to 10).
 
-    Of a descriptor, the action keeps a duplicate; call ``action.watch(port.fileno())`` when the connection was opened
+    Of a descriptor, the action keeps a duplicate (a second opening of a terminal or pipe); call ``action.watch(port.fileno())`` when the connection was opened
     again. A file is opened at every stop. What a serial line has not sent yet is discarded first. The bytes must stop
     the device whatever was sent before, even a part of an order: begin with the end of a line where orders are lines.
     """
@@ -51,7 +53,8 @@ def run_command(command: Sequence[Union[str, "os.PathLike[str]"]], *, within: fl
     """Runs a program without a shell and waits at most ``within`` seconds (0.001 to 10) for its end.
 
     A program that takes longer or ends with another status than 0 has not stopped the robot: the stop is repeated.
-    One that takes longer goes on, and no second one is started beside it.
+    One that takes longer goes on, and no second one is started beside it. The status must be left to the action: if
+    the program ignores SIGCHLD or waits for every child process (``os.wait()``), the stop counts as failed.
     """
     if isinstance(command, (str, bytes)) or not command:
         raise TypeError(f"run_command: expected a list of words, such as ['/usr/bin/robot', 'stop'], found {command!r}")

@@ -25,20 +25,26 @@ def stop(signal: StopSignal) -> None:
 # [end]
 
 
+def motor_lost() -> axon_entity.RobotLost:
+    return axon_entity.RobotLost("the motor does not answer: check its cable")
+
+
 # [turn]
 @entity.service("Turn")
 def turn(task: Task, Angle: Annotated[float, Unit("deg"), Range(-3600, 3600)]) -> Annotated[float, Output("Turned"), Unit("deg")]:
     """Turns by an angle."""
+    if device.lost:
+        raise motor_lost()
     start_deg, turned_deg = device.angle_deg, 0.0
     task.order(line, b"SPEED -90\n" if Angle < 0 else b"SPEED 90\n")
-    while abs(turned_deg) < abs(Angle):
+    while abs(turned_deg) < abs(Angle) and not device.lost:
         if not task.wait(0.02):
             break
-        if device.lost:
-            raise axon_entity.RobotLost("the motor does not answer: check its cable")
         turned_deg = device.angle_deg - start_deg
         task.progress(min(1.0, turned_deg / Angle))
     task.order(line, b"SPEED 0\n")
+    if device.lost:
+        raise motor_lost()
     return turned_deg
 # [end]
 

@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cmath>
+#include <string_view>
 
 namespace axon::python {
 namespace {
@@ -101,7 +102,7 @@ Interfacer::~Interfacer() {
     if (forked()) {  // its threads are not in this process, and cannot be waited for
         (void)interfacer_.release();
         (void)python_stop_.release();
-        if (closer_.joinable()) closer_.detach();
+        (void)new std::shared_ptr<State>(std::move(state_));
         return;
     }
     if (started_) {
@@ -233,9 +234,9 @@ void Interfacer::stop(const StopSignal& signal) {
             failed += (failed.empty() ? "" : "; ") + std::string(error.what());
         }
     if (signal.cause == StopSignal::Cause::Shutdown) {
-        const std::lock_guard lock(mutex_);
-        stopped_for_good_ = true;
-        changed_.notify_all();
+        const std::lock_guard lock(state_->mutex);
+        state_->stopped_for_good = true;
+        state_->changed.notify_all();
     }
     if (python_stop_) try {
             python_stop_->call(signal);
@@ -256,7 +257,7 @@ void Interfacer::start() {
     started_ = true;
 }
 
-void Interfacer::waitUntilQuit() {
+void Interfacer::waitUntilQuit(double force_exit_after_s) {
     checkProcess();
     if (!started_) throw std::logic_error("start() comes first");
     int nobody = -1;
@@ -273,22 +274,23 @@ void Interfacer::waitUntilQuit() {
     sigset_t all, former;
     sigfillset(&all);
     pthread_sigmask(SIG_SETMASK, &all, &former);
-    std::thread listener([this] {
+    std::thread listener([this, force_exit_after_s] {
         std::uint64_t count = 0;
         while (::read(wake_, &count, sizeof count) < 0 && errno == EINTR) {
         }
         beginShutdown();
+        forceExitAfter(force_exit_after_s);
     });
     pthread_sigmask(SIG_SETMASK, &former, nullptr);
     bool raised = false;
     {
         py::gil_scoped_release others;
-        const auto over = [this] { return stopped_for_good_ || finished_; };
+        const auto over = [this] { return state_->stopped_for_good || state_->finished; };
         while (true) {
             // A condition variable does not return for a signal; so handlers of others wait up to 100 ms.
             {
-                std::unique_lock lock(mutex_);
-                if (changed_.wait_for(lock, 100ms, over)) break;
+                std::unique_lock lock(state_->mutex);
+                if (state_->changed.wait_for(lock, 100ms, over)) break;
             }
             const py::gil_scoped_acquire interpreter;
             if (PyErr_CheckSignals() == 0) continue;
@@ -311,69 +313,92 @@ void Interfacer::quit() {
 
 void Interfacer::beginShutdown() {
     checkProcess();
-    const std::lock_guard lock(mutex_);
-    if (std::exchange(closing_, true)) return;
+    const std::lock_guard lock(state_->mutex);
+    if (std::exchange(state_->closing, true)) return;
     if (!started_) {
-        finished_ = stopped_for_good_ = true;
-        changed_.notify_all();
+        state_->finished = state_->stopped_for_good = true;
+        state_->changed.notify_all();
         endLog();
         return;
     }
-    closer_ = std::thread([this] {
+    state_->closer = std::thread([this] {
         interfacer_->shutdown();
         if (python_stop_) python_stop_->end();
         {
-            const std::lock_guard end(mutex_);
-            finished_ = stopped_for_good_ = true;
+            const std::lock_guard end(state_->mutex);
+            state_->finished = state_->stopped_for_good = true;
         }
-        changed_.notify_all();
+        state_->changed.notify_all();
         endLog();
     });
 }
 
+void Interfacer::forceExitAfter(double seconds) {
+    checkProcess();
+    {
+        const std::lock_guard lock(state_->mutex);
+        if (state_->finished || std::exchange(state_->forced, true)) return;
+    }
+    sigset_t all, former;
+    sigfillset(&all);
+    pthread_sigmask(SIG_SETMASK, &all, &former);  // signals are for the threads of the program
+    std::thread([state = state_, within = nanoseconds(seconds)] {
+        std::unique_lock lock(state->mutex);
+        if (state->changed.wait_for(lock, within, [&] { return state->finished; })) return;
+        constexpr std::string_view kText =
+            "axon_entity: a handler or on_stop keeps the interpreter and has not returned in time after the "
+            "shutdown; the program is ended (status 1)\n";
+        (void)!::write(STDERR_FILENO, kText.data(), kText.size());
+        ::_exit(1);
+    }).detach();
+    pthread_sigmask(SIG_SETMASK, &former, nullptr);
+}
+
 void Interfacer::endLog() {
     {
-        const std::lock_guard lock(log_mutex_);
-        log_ended_ = true;
+        const std::lock_guard lock(state_->log_mutex);
+        state_->log_ended = true;
     }
-    log_changed_.notify_all();
+    state_->log_changed.notify_all();
 }
 
 bool Interfacer::finish(double seconds) {
     checkProcess();
     std::thread closed;
     {
-        std::unique_lock lock(mutex_);
-        if (!changed_.wait_for(lock, nanoseconds(seconds), [&] { return finished_; })) return false;
-        closed = std::move(closer_);
+        std::unique_lock lock(state_->mutex);
+        if (!state_->changed.wait_for(lock, nanoseconds(seconds), [&] { return state_->finished; }))
+            return false;
+        closed = std::move(state_->closer);
     }
     if (closed.joinable()) closed.join();
     return true;
 }
 
 bool Interfacer::logEnded() {
-    const std::lock_guard lock(log_mutex_);
-    return log_ended_ && log_.empty();
+    const std::lock_guard lock(state_->log_mutex);
+    return state_->log_ended && state_->log.empty();
 }
 
 void Interfacer::log(LogLevel level, const std::string& text) {
     {
-        const std::lock_guard lock(log_mutex_);
-        if (log_.size() >= kLogMax) {
-            log_.pop_front();
-            ++log_lost_;
+        const std::lock_guard lock(state_->log_mutex);
+        if (state_->log.size() >= kLogMax) {
+            state_->log.pop_front();
+            ++state_->log_lost;
         }
-        log_.emplace_back(static_cast<int>(level), text);
+        state_->log.emplace_back(static_cast<int>(level), text);
     }
-    log_changed_.notify_one();
+    state_->log_changed.notify_one();
 }
 
 std::vector<std::pair<int, std::string>> Interfacer::takeLog(double seconds) {
-    std::unique_lock lock(log_mutex_);
-    log_changed_.wait_for(lock, nanoseconds(seconds), [&] { return !log_.empty() || log_ended_; });
-    std::vector<std::pair<int, std::string>> lines(log_.begin(), log_.end());
-    log_.clear();
-    if (const auto lost = std::exchange(log_lost_, 0); lost > 0)
+    std::unique_lock lock(state_->log_mutex);
+    state_->log_changed.wait_for(lock, nanoseconds(seconds),
+                                 [&] { return !state_->log.empty() || state_->log_ended; });
+    std::vector<std::pair<int, std::string>> lines(state_->log.begin(), state_->log.end());
+    state_->log.clear();
+    if (const auto lost = std::exchange(state_->log_lost, 0); lost > 0)
         lines.emplace_back(static_cast<int>(LogLevel::Warning),
                            std::to_string(lost) + " older log lines were dropped");
     return lines;

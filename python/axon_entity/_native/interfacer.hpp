@@ -70,10 +70,14 @@ class Interfacer {
     void start();
     /// Blocks until SIGINT, SIGTERM, quit() or beginShutdown(), and until the stop that follows was carried
     /// out. Handlers of other signals run meanwhile, and what they raise ends the waiting.
-    void waitUntilQuit();
+    /// From the beginning of the shutdown on, the process has this long; see forceExitAfter().
+    void waitUntilQuit(double force_exit_after_s);
     void quit();
     /// Stops the robot and ends the link, on a thread of its own.
     void beginShutdown();
+    /// Ends the process with status 1 if not everything has ended within this time, also while something
+    /// keeps the interpreter. Only the first call counts.
+    void forceExitAfter(double seconds);
     /// Whether everything has ended within this time.
     bool finish(double seconds);
 
@@ -102,19 +106,25 @@ class Interfacer {
     std::atomic<pid_t> process_{0};  // of start(); 0 before
     std::atomic<std::uint64_t> stops_{0};
 
-    std::mutex mutex_;
-    std::condition_variable changed_;
-    bool closing_ = false;           // guarded by mutex_
-    bool stopped_for_good_ = false;  // guarded by mutex_: the stop of the shutdown was carried out
-    bool finished_ = false;          // guarded by mutex_
-    int wake_ = -1;                  // an eventfd: a signal of the process, quit(), or the end
-    std::thread closer_;
+    /// Everything that a thread waits for. In a forked process it stays as it is: destroying a condition
+    /// variable for which a thread of the former process waits would never end.
+    struct State {
+        std::mutex mutex;
+        std::condition_variable changed;
+        bool closing = false;           // guarded by mutex
+        bool stopped_for_good = false;  // guarded by mutex: the stop of the shutdown was carried out
+        bool finished = false;          // guarded by mutex
+        bool forced = false;            // guarded by mutex: forceExitAfter() was called
+        std::thread closer;             // guarded by mutex
 
-    std::mutex log_mutex_;
-    std::condition_variable log_changed_;
-    std::deque<std::pair<int, std::string>> log_;  // guarded by log_mutex_
-    std::uint64_t log_lost_ = 0;                   // guarded by log_mutex_
-    bool log_ended_ = false;                       // guarded by log_mutex_
+        std::mutex log_mutex;
+        std::condition_variable log_changed;
+        std::deque<std::pair<int, std::string>> log;  // guarded by log_mutex
+        std::uint64_t log_lost = 0;                   // guarded by log_mutex
+        bool log_ended = false;                       // guarded by log_mutex
+    };
+    std::shared_ptr<State> state_ = std::make_shared<State>();  // shared with the thread of forceExitAfter()
+    int wake_ = -1;  // an eventfd: a signal of the process, quit(), or the end
 };
 
 }  // namespace axon::python

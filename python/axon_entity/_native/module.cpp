@@ -278,6 +278,7 @@ void defineInterfacer(py::module_& module) {
         .def("wait_until_quit", &Interfacer::waitUntilQuit)
         .def("quit", &Interfacer::quit)
         .def("begin_shutdown", &Interfacer::beginShutdown, Others())
+        .def("force_exit_after", &Interfacer::forceExitAfter, Others())
         .def("finish", &Interfacer::finish, Others())
         .def("take_log", &Interfacer::takeLog, Others())
         .def_property_readonly("log_ended", &Interfacer::logEnded)

@@ -7,9 +7,12 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
+
+#include "bounded_job.hpp"
 
 namespace axon::python {
 
@@ -39,9 +42,19 @@ class StopAction {
     std::atomic<std::uint64_t> runs_{0}, failures_{0};
 };
 
+/// Which open file a descriptor means. Its number can come to mean another one.
+struct FileIdentity {
+    dev_t device = 0, special = 0;
+    ino_t inode = 0;
+    bool operator==(const FileIdentity&) const = default;
+};
+
 /// Closes the connection to the device: discards what a serial line has not sent yet, shuts a socket down,
 /// and puts a dead connection in the place of the descriptor. So its number cannot come to mean another file,
 /// writing to it fails (EPIPE), and reading from it finds the end.
+///
+/// If the number means another file than the one that was given, nothing is closed and the stop has failed.
+/// If it means no file, the program has ended the connection itself, and there is nothing to close.
 class CloseDescriptor : public StopAction {
   public:
     /// Throws std::invalid_argument if the descriptor is not open.
@@ -57,40 +70,56 @@ class CloseDescriptor : public StopAction {
   private:
     void act() override;
     mutable std::mutex mutex_;
-    int descriptor_ = -1;  // guarded by mutex_; not owned
-    int dead_ = -1;        // constant after construction
-    bool closed_ = false;  // guarded by mutex_
+    int descriptor_ = -1;    // guarded by mutex_; not owned
+    FileIdentity identity_;  // guarded by mutex_: what descriptor_ must mean
+    int dead_ = -1;          // constant after construction
+    bool closed_ = false;    // guarded by mutex_
 };
 
 /// Writes bytes to a device. Never waits longer than `within`.
+///
+/// A terminal and a pipe are opened again, which gives a descriptor that does not block, and a socket can be
+/// told not to. Any other file is duplicated, because opening it again would be another device (the master of
+/// a pseudo-terminal) or lose what was set (an I2C address). Writing to it may block, and happens on a thread
+/// of its own.
 class WriteBytes : public StopAction {
   public:
     /// Keeps a duplicate of the descriptor. Throws std::invalid_argument if it is not open, or for no bytes.
     WriteBytes(int descriptor, std::string bytes, std::chrono::duration<double> within);
     /// Opens the file at every stop. Throws std::invalid_argument if it is not there.
     WriteBytes(std::filesystem::path path, std::string bytes, std::chrono::duration<double> within);
-    ~WriteBytes() override;
     std::string describe() const override;
     void watch(int descriptor);
     /// Closes the duplicate; nothing is written from now on.
     void release();
     /// Writes an order of a task, unless a stop of the task is requested; then returns false. No order
     /// follows the bytes of a stop: `stopped` becomes true before the action is carried out, and both take
-    /// turns.
+    /// turns. An order that a device does not take gives up as soon as a stop waits, and returns false; a
+    /// part of it may be written.
     bool order(const std::function<bool()>& stopped, const std::string& bytes);
 
   private:
+    struct Line;
     void act() override;
-    void writeAll(int descriptor, const std::string& bytes) const;
+    /// False if a stop waits and may interrupt it.
+    bool write(const std::shared_ptr<Line>& line, const std::string& bytes, bool is_order);
+    bool writeDirectly(const Line& line, const std::string& bytes, bool is_order) const;
+    bool onThread(BoundedJob::Job job, bool is_order);
+    bool giveUp(bool is_order) const { return is_order && stops_waiting_ > 0; }
+    void setLine(std::shared_ptr<Line> line);
     const std::filesystem::path path_;
     const std::string bytes_;
     const std::chrono::nanoseconds within_;
+    std::atomic<int> stops_waiting_{0};
     std::mutex mutex_;
-    int descriptor_ = -1;  // guarded by mutex_; owned
+    std::shared_ptr<Line> line_;        // guarded by mutex_
+    std::shared_ptr<BoundedJob> jobs_;  // guarded by jobs_mutex_; none while no line needs it
+    std::mutex jobs_mutex_;
 };
 
 /// Runs a program and waits at most `within` for its end. A program that takes longer goes on; until it has
-/// ended, no second one is started.
+/// ended, no second one is started. A program whose status another part of this process has collected counts
+/// as failed, because nobody knows whether it has stopped the robot.
 class RunCommand : public StopAction {
   public:
     /// `words` begins with the path of the program.
@@ -101,10 +130,12 @@ class RunCommand : public StopAction {
   private:
     void act() override;
     void start();
+    void forget();
+    std::string statusIsUnknown() const;
     const std::vector<std::string> words_;
     const std::chrono::nanoseconds within_;
     std::mutex mutex_;
-    pid_t child_ = 0;  // guarded by mutex_; 0 = none runs
+    int child_ = -1;  // guarded by mutex_: a pidfd, which cannot come to mean another process; -1 = none runs
 };
 
 }  // namespace axon::python

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What needs a process of its own: signals, the end of the interpreter, forks, and a blocked interpreter."""
 import os
+import pathlib
 import select
 import signal
 import socket
@@ -13,6 +14,7 @@ import pytest
 
 from axon_entity.testing import ScriptedManager
 
+EXAMPLE = pathlib.Path(__file__).resolve().parents[3] / "examples" / "python" / "06_device" / "turntable.py"
 BEGIN = """
     import ctypes, os, signal, sys, threading, time, warnings
     import axon_entity
@@ -38,8 +40,8 @@ class Robot:
         theirs.close()
         self.manager = None
 
-    def link(self, ports, **options):
-        self.manager = ScriptedManager("Process", ports=ports, **options)
+    def link(self, ports, application="Process", **options):
+        self.manager = ScriptedManager(application, ports=ports, **options)
         deadline = time.monotonic() + 20
         while True:
             try:
@@ -257,6 +259,65 @@ def test_a_handler_that_nothing_ends_does_not_keep_the_program_alive_for_ever(st
     assert "the program is ended (status 1)" in errors
 
 
+@pytest.mark.parametrize("where", ["handler", "on_stop"])
+@pytest.mark.parametrize("serve", ["entity.run()", "with entity: signal.sigwait({signal.SIGTERM})"])
+@pytest.mark.parametrize("call", ["ctypes.CDLL(None).pause()", "block.pause()"], ids=["interpreter_free", "interpreter_kept"])
+def test_the_end_of_run_and_of_with_is_forced_when_c_code_does_not_return(start, ports, where, serve, call):
+    if serve != "entity.run()" and call == "block.pause()":
+        pytest.skip("the signal reaches a program without run() only through the interpreter")
+    robot = start(f"""
+        from axon_entity import _entity
+        _entity.FORCE_EXIT_AFTER_S = 1.0
+        _entity.FORCE_EXIT_WITHOUT_INTERPRETER_AFTER_S = 2.0
+        entity.on_stop(native.write_bytes(DEVICE, b"STOP\\n"))
+        def for_ever():
+            say("blocked")
+            {call}
+        if {where == "on_stop"}:
+            entity.on_stop(lambda signal: for_ever())
+        @entity.service("Block")
+        def go():
+            for_ever()
+        if {serve.startswith("with")}:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGTERM}})
+        {serve}
+        say("not reached")
+    """)
+    manager = robot.link(ports)
+    deadline = time.monotonic() + 20
+    while serve == "entity.run()" and not _in_run(robot):
+        assert time.monotonic() < deadline
+    if where == "handler":
+        manager.run("Block").expect_granted()
+        assert robot.line() == "blocked"
+    robot.child.send_signal(signal.SIGTERM)
+    assert robot.line() == "STOP"
+    status, errors = robot.end()
+    assert status == 1, errors
+    assert "the program is ended (status 1)" in errors
+
+
+def test_a_fork_with_a_logger_ends_though_its_threads_are_not_there(start):
+    robot = start("""
+        import gc, logging
+        entity = axon_entity.Entity("Process", category="MACHINE", ports=(int(sys.argv[2]), int(sys.argv[3])), logger=logging.getLogger("robot"))
+        entity.start()
+        while not any(thread.name == "axon-log" for thread in threading.enumerate()):
+            pause(0.01)
+        pause(0.2)  # the thread waits for log lines
+        warnings.simplefilter("ignore")
+        child = os.fork()
+        if child == 0:
+            signal.alarm(10)
+            del entity
+            gc.collect()
+            sys.exit(0)
+        say("status %d" % os.waitpid(child, 0)[1])
+    """)
+    assert robot.line(30) == "status 0"
+    assert robot.end()[0] == 0
+
+
 def test_a_fork_is_warned_of_and_the_copy_is_refused(start):
     robot = start("""
         entity.service("Go")(lambda: None)
@@ -311,3 +372,41 @@ def test_a_guard_stops_the_device_of_a_killed_program(start):
     assert robot.line() == "guarded"
     robot.child.kill()
     assert robot.line() == "GUARD"
+
+
+def turntable(start, ports, tmp_path, lost):
+    """The example 06_device on the test's own line to a motor, with a device thread that finds the motor lost as `lost` says."""
+    (tmp_path / "ports.cfg").write_text(f"Axon.Ports = {ports[0]}-{ports[1]}\n")
+    robot = start(f"""
+        import runpy, socket, types
+        answers = iter({lost!r})
+
+        class DeviceThread:
+            angle_deg = 0.0
+            lost = property(lambda self: next(answers, True))
+            def __init__(self, line): pass
+            def __enter__(self): return self
+            def __exit__(self, *_): pass
+            def stop(self): pass
+
+        sys.modules["simulated_motor"] = types.SimpleNamespace(start_motor=lambda: socket.socket(fileno=DEVICE))
+        sys.modules["device_thread"] = types.SimpleNamespace(DeviceThread=DeviceThread)
+        sys.argv[1:] = [{str(tmp_path / "ports.cfg")!r}]
+        runpy.run_path({str(EXAMPLE)!r})
+    """)
+    return robot, robot.link(ports, "Turntable")
+
+
+def test_the_turntable_of_the_examples_orders_nothing_from_a_lost_motor(start, ports, tmp_path):
+    robot, manager = turntable(start, ports, tmp_path, [])
+    ending = manager.run("Turn", Angle=90.0).expect_failed()
+    assert "check its cable" in ending.reason
+    assert not select.select([robot.device], [], [], 0)[0], "no order came before it"
+
+
+def test_the_turntable_of_the_examples_is_told_to_stand_still_before_its_loss_is_reported(start, ports, tmp_path):
+    robot, manager = turntable(start, ports, tmp_path, [False, False, True])
+    ending = manager.run("Turn", Angle=90.0).expect_failed()
+    assert "check its cable" in ending.reason
+    assert select.select([robot.device], [], [], 0)[0]
+    assert robot.device.recv(4096) == b"SPEED 90\nSPEED 0\n"

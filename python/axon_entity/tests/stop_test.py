@@ -3,10 +3,13 @@
 import fcntl
 import os
 import pty
+import select
+import signal
 import socket
 import sys
 import threading
 import time
+import tty
 import warnings
 
 import pytest
@@ -92,6 +95,137 @@ def test_a_device_that_takes_nothing_is_a_failure_within_the_bound():
     assert action.failures == 1
     os.close(out)
     os.close(into)
+
+
+def test_the_master_of_a_pseudo_terminal_is_written_to_and_not_opened_again():
+    master, line = pty.openpty()
+    tty.setraw(line)
+    native.write_bytes(master, b"STOP\n").carry_out()
+    assert select.select([line], [], [], 10)[0]
+    assert os.read(line, 99) == b"STOP\n"
+    os.close(master)
+    os.close(line)
+
+
+FULL = 2**64 - 2  # of an eventfd: writing to it blocks
+
+
+def number(value):
+    return value.to_bytes(8, sys.byteorder)
+
+
+def test_a_descriptor_that_blocks_is_a_failure_within_the_bound_and_works_when_the_device_takes_it():
+    device = os.eventfd(FULL & 0xFFFFFFFF)
+    os.eventfd_write(device, FULL - (FULL & 0xFFFFFFFF))
+    action = native.write_bytes(device, number(1), within=0.05)
+    began = time.monotonic()
+    for _ in range(2):  # the second time it waits for the first one
+        with pytest.raises(RuntimeError, match="did not take the bytes in time"):
+            action.carry_out()
+    assert time.monotonic() - began < 5
+    assert os.eventfd_read(device) == FULL
+    deadline = time.monotonic() + 10
+    while True:
+        try:
+            action.carry_out()
+            break
+        except RuntimeError:
+            assert time.monotonic() < deadline
+    assert os.eventfd_read(device) >= 2, "what was late has arrived, and then what was confirmed"
+    os.close(device)
+
+
+@pytest.mark.parametrize("kind", ["socket", "blocking"])
+def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, kind):
+    """At a device that takes nothing until the order has given up."""
+    bound_s = 20.0
+    if kind == "socket":
+        into, order_bytes, stop_bytes = pair[0].fileno(), b"x" * 4096, b"\nSTOP\n"
+    else:
+        into, order_bytes, stop_bytes = os.eventfd(0), number(FULL), number(1)
+    line = native.write_bytes(into, stop_bytes, within=bound_s)
+    ended = []
+
+    def read_until_the_stop():
+        while True:
+            if kind == "socket":
+                if pair[1].recv(65536).endswith(stop_bytes):
+                    return
+            elif os.eventfd_read(into) % 2 == 1:
+                return
+
+    def prepare(entity):
+        @entity.service("Order")
+        def order(task):
+            try:
+                while task.order(line, order_bytes):
+                    pass
+                ended.append("gave up")
+            except RuntimeError as error:
+                ended.append(str(error))
+            read_until_the_stop()
+
+    entity, manager = linked(ports, prepare)
+    manager.run("Order").expect_granted()
+    deadline = time.monotonic() + 10
+    while select.select([], [into], [], 0)[1]:  # until an order has to wait
+        assert time.monotonic() < deadline
+    began = time.monotonic()
+    line.carry_out()
+    assert time.monotonic() - began < bound_s / 2
+    assert ended == ["gave up"]
+    manager.disconnect()
+    entity.shutdown()
+
+
+def test_close_fd_closes_no_other_file_that_has_got_the_number(pair):
+    ours, theirs = pair
+    action = native.close_fd(ours.fileno())
+    other, their_other = socket.socketpair()
+    os.dup2(other.fileno(), ours.fileno())  # as if the number were used again
+    with pytest.raises(RuntimeError, match=r"another file now.*fix: call action.release\(\)"):
+        action.carry_out()
+    assert not action.closed
+    ours.send(b"x")
+    assert their_other.recv(9) == b"x", "the other file is open"
+    action.watch(ours.fileno())
+    action.carry_out()
+    assert their_other.recv(9) == b""
+    action.release()
+    action.carry_out()
+    other.close()
+    their_other.close()
+
+
+def test_a_connection_that_was_opened_again_without_watch_is_a_failed_stop(pair):
+    ours, theirs = pair
+    action = native.close_fd(ours.fileno())
+    action.carry_out()
+    again, their_again = socket.socketpair()
+    os.dup2(again.fileno(), ours.fileno())
+    with pytest.raises(RuntimeError, match="another file now.*action.watch"):
+        action.carry_out()
+    again.close()
+    their_again.close()
+
+
+def test_close_fd_has_nothing_to_close_when_the_program_has_closed_it(pair):
+    ours, theirs = pair
+    action = native.close_fd(ours.fileno())
+    ours.close()
+    action.carry_out()
+    assert theirs.recv(9) == b""
+
+
+def test_a_program_whose_status_another_has_collected_is_a_failed_stop(tmp_path):
+    action = native.run_command(["/bin/true"], within=10)
+    former = signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel collects it
+    try:
+        with pytest.raises(RuntimeError, match="another part of this program has collected its status; fix: do not ignore SIGCHLD"):
+            action.carry_out()
+    finally:
+        signal.signal(signal.SIGCHLD, former)
+    action.carry_out()
 
 
 def test_close_fd_ends_the_connection_and_keeps_the_number(pair):

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""The package and a program that uses it pass mypy --strict, and the stubs name what the native modules have."""
+"""The package and a program that uses it pass mypy --strict, the stubs name what the native modules have, and an sdist is complete."""
 import inspect
 import pathlib
 import re
 import shutil
 import subprocess
+import sys
+import tarfile
 
 import pytest
 
@@ -70,3 +72,20 @@ def test_every_public_name_has_a_docstring():
                 assert inspect.getdoc(value), f"{name}.{member}"
 
 
+def test_an_sdist_has_the_version_of_axon_and_the_licence(tmp_path):
+    sources = pathlib.Path(__file__).resolve().parents[1]
+    root = sources.parents[1]
+    wanted = re.search(r"^project\(Axon VERSION ([\d.]+)", (root / "CMakeLists.txt").read_text(), re.MULTILINE).group(1)
+    # Beside CMakeLists.txt as there, because setup.py looks there, and because setuptools writes into the sources.
+    shutil.copytree(sources, tmp_path / "python" / "axon_entity", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info", "build"))
+    shutil.copy(root / "CMakeLists.txt", tmp_path)
+    done = subprocess.run([sys.executable, "setup.py", "-q", "sdist", "--dist-dir", tmp_path / "dist"], cwd=tmp_path / "python" / "axon_entity",
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    file, = (tmp_path / "dist").iterdir()
+    with tarfile.open(file) as archive:
+        texts = {name.split("/", 1)[1]: archive.extractfile(name).read().decode() for name in archive.getnames() if archive.getmember(name).isfile()}
+    assert f"\nVersion: {wanted}\n" in texts["PKG-INFO"]
+    assert texts["LICENSE"] == (root / "LICENSES" / "MIT.txt").read_text()
+    for source in (sources / "_native").iterdir():
+        assert f"_native/{source.name}" in texts
