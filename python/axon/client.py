@@ -187,6 +187,13 @@ def run_callbacks(feed: _native.Feed, place: "weakref.ref[Callbacks]") -> None:
         del callbacks, entry  # while it waits it keeps nothing
 
 
+def with_its(native: Any, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    """The callback of a task or a run, which tells nothing when nobody has it any more: the callback has it until its end."""
+    def call(report: Any, _its: Any = native) -> None:
+        callback(report)
+    return call
+
+
 def checked(callback: Callable[..., Any]) -> None:
     if not callable(callback):
         raise TypeError(f"a function was expected, and {type(callback).__name__} was given")
@@ -239,7 +246,8 @@ class Task:
     def on_update(self, callback: Callable[[TaskReport], None]) -> None:
         """`callback` is called with the present report, then on every change, on the thread for callbacks."""
         checked(callback)
-        self._native.on_update(self._lab._callbacks.feed, self._lab._callbacks.add(callback, is_final))
+        self._native.on_update(self._lab._callbacks.feed,
+                               self._lab._callbacks.add(with_its(self._native, callback), is_final))
 
     def pause(self) -> None:
         """Refused with NOT_PAUSABLE if the service cannot be paused."""
@@ -291,7 +299,8 @@ class Run:
     def on_update(self, callback: Callable[[RunReport], None]) -> None:
         """`callback` is called with the present report, then on every change, on the thread for callbacks."""
         checked(callback)
-        self._native.on_update(self._lab._callbacks.feed, self._lab._callbacks.add(callback, is_final))
+        self._native.on_update(self._lab._callbacks.feed,
+                               self._lab._callbacks.add(with_its(self._native, callback), is_final))
 
     def pause(self) -> None:
         """Pauses every running step. Refused with NOT_PAUSABLE if one of them cannot be paused."""

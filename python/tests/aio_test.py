@@ -8,6 +8,7 @@ import pytest
 
 import axon
 import axon.aio
+from support import wait_until
 from axon import RefusalCode as Code
 from axon import TaskState
 
@@ -200,8 +201,10 @@ def test_a_result_that_has_come_when_the_task_is_cancelled_is_handed_over():
         waiting = asyncio.ensure_future(axon.aio.in_thread(lambda: came.wait(10), unwanted=lambda _: given_back.set()))
         await asyncio.sleep(0)
         answer = waiting._fut_waiter
-        answer.add_done_callback(lambda _: waiting.cancel())
+        loop = asyncio.get_running_loop()
         came.set()
+        wait_until(lambda: loop._ready, "the answer is in the loop's queue, and this coroutine has not let it run yet")
+        loop.call_soon(waiting.cancel)
         with pytest.raises(asyncio.CancelledError):
             await waiting
         assert answer.done() and not answer.cancelled()

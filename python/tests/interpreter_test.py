@@ -141,7 +141,7 @@ def sleeps(child):
         with open(f"/proc/{child.pid}/status", encoding="utf-8") as status:
             return next(line for line in status if line.startswith("State")).split()[1]
     seen = []
-    wait_until(lambda: seen.append(state()) or seen[-5:] == ["S"] * 5, "it waits")
+    wait_until(lambda: seen.append(state()) or seen[-5:] == ["S"] * 5, "it waits", 30)
 
 
 @pytest.mark.parametrize("wait", [
@@ -329,7 +329,7 @@ def test_what_nobody_reads_any_more_is_not_kept(laboratory, robot, client):
     task.result(10)
     called = []
     task.on_update(called.append)
-    held.start("Drive", Distance=1).on_update(called.append)
+    held.start("Drive", Distance=1).on_update(called.append)  # nobody else has the task
     wait_until(lambda: sum(report.final for report in called) == 2, "told")
     wait_until(lambda: len(lab._callbacks) == 0, "no callback is kept when its task has ended")
     held.on_text(called.append)

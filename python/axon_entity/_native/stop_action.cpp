@@ -5,7 +5,11 @@
 #include <poll.h>
 #include <spawn.h>
 #include <sys/ioctl.h>
+
+// Debian 12's header declares pidfd_open() as a function of C++.
+extern "C" {
 #include <sys/pidfd.h>
+}
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
