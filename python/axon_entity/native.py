@@ -38,9 +38,10 @@ def close_fd(fd: int) -> CloseDescriptor:
 def write_bytes(to: Union[int, str, "os.PathLike[str]"], data: bytes, *, within: float = 0.1) -> WriteBytes:
     """Writes 1 to 4096 bytes to a descriptor or to a file, and waits at most ``within`` seconds (0.001 to 10).
 
-    Of a descriptor, the action keeps a duplicate (a second opening of a terminal or pipe); call ``action.watch(port.fileno())`` when the connection was opened
-    again. A file is opened at every stop. What a serial line has not sent yet is discarded first. The bytes must stop
-    the device whatever was sent before, even a part of an order: begin with the end of a line where orders are lines.
+    Of a descriptor, the action keeps a duplicate (a second opening of a terminal or pipe); call
+    ``action.watch(port.fileno())`` when the connection was opened again. A file is opened at every stop. What a serial
+    line has not sent yet is discarded first. The bytes must stop the device whatever was sent before, even a part of an
+    order: begin with the end of a line where orders are lines.
     """
     if not isinstance(data, bytes):
         raise TypeError(f"write_bytes: expected bytes, such as b'STOP\\n', found {data!r}")

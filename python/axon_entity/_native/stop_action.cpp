@@ -5,13 +5,9 @@
 #include <poll.h>
 #include <spawn.h>
 #include <sys/ioctl.h>
-
-// Debian 12's header declares pidfd_open() as a function of C++.
-extern "C" {
-#include <sys/pidfd.h>
-}
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <termios.h>
 #include <unistd.h>
@@ -366,7 +362,8 @@ void RunCommand::start() {
     posix_spawn_file_actions_destroy(&files);
     posix_spawnattr_destroy(&attributes);
     if (error != 0) throw std::runtime_error(describe() + ": " + why(error));
-    child_ = ::pidfd_open(process, 0);
+    // The header of the C library in Debian 12 is not for C++.
+    child_ = static_cast<int>(::syscall(SYS_pidfd_open, process, 0));
     if (child_ >= 0) return;
     if (errno == ESRCH) throw std::runtime_error(statusIsUnknown());  // it has ended already
     throw std::runtime_error(describe() + ": its end cannot be watched: " + why(errno));

@@ -138,7 +138,7 @@ def test_a_descriptor_that_blocks_is_a_failure_within_the_bound_and_works_when_t
 @pytest.mark.parametrize("kind", ["socket", "blocking"])
 def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, kind):
     """At a device that takes nothing until the order has given up."""
-    bound_s = 20.0
+    bound_s = 10.0
     if kind == "socket":
         into, order_bytes, stop_bytes = pair[0].fileno(), b"x" * 4096, b"\nSTOP\n"
     else:
