@@ -28,8 +28,9 @@ def two_cameras():
         ports = lab.folder / f"{name}.cfg"
         first = 6100 + (os.getpid() % 100) * 10 + number * 5
         ports.write_text(f"Axon.Ports = {first}-{first + 4}\n")
-        lab.start(f"camera-{name}", TEST_BIN / "camera-entity", folder, ports)
-        lab.start(f"em-{name}", "axon-entity-manager", "--application", "Camera", "--ports-file", ports, *lab.manager_options([]))
+        its_own = dict(lab.env, XDG_STATE_HOME=str(folder / "state"))
+        lab.start(f"camera-{name}", TEST_BIN / "camera-entity", folder, ports, env=its_own)
+        lab.start(f"em-{name}", "axon-entity-manager", "--application", "Camera", "--ports-file", ports, *lab.manager_options([]), env=its_own)
         lab.wait_for_entity(name)
     yield lab
     lab.end()

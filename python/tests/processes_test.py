@@ -106,9 +106,9 @@ def test_the_example_delivers(real):
                 run.result(20)
             assert error.value.report.state == axon.RunState.CANCELLED
             assert any(began is not None for _, _, began, _ in run.timeline())
-            check_run = client.check_global(heavy, {0: "Shuttle", 1: "Arm", 2: "Arm"})
-            with pytest.raises(axon.Refused):
-                check_run.result(20)
+            with pytest.raises(axon.Refused) as error:
+                client.check_global(heavy, {0: "Shuttle", 1: "Arm", 2: "Arm"})
+            assert error.value.code == Code.DUPLICATE
         with pytest.raises(axon.Refused) as error:
             client.global_service("No such")
         assert "it offers: Delivery" in error.value.message
@@ -207,15 +207,18 @@ def test_a_lost_server_is_told_and_the_client_comes_back(real):
 def test_two_of_a_name_are_told_apart(real):
     lab = real()
     lab.start_server()
-    ports = lab.folder / "ports.cfg"
-    ports.write_text(f"Axon.Ports = {lab.ports}\n")
-    for number in (1, 2):
-        folder = lab.folder / f"profiles-{number}"
+    first = int(lab.ports.split("-")[0])
+    for number in (0, 1):
+        folder = lab.folder / f"robot-{number}"
         folder.mkdir()
         for name in ("basic.xml", "services.xml"):
             (folder / name).write_bytes((EXAMPLES / "01_hello_entity" / name).read_bytes())
-        lab.start(f"application-{number}", "hello-entity", folder, ports)
-        lab.start(f"manager-{number}", "axon-entity-manager", "--application", "Greeter", "--ports-file", ports, *lab.manager_options([]))
+        ports = folder / "ports.cfg"
+        ports.write_text(f"Axon.Ports = {first + 5 * number}-{first + 5 * number + 4}\n")
+        its_own = dict(lab.env, XDG_STATE_HOME=str(folder / "state"))
+        lab.start(f"application-{number}", "hello-entity", folder, ports, env=its_own)
+        lab.start(f"manager-{number}", "axon-entity-manager", "--application", "Greeter", "--ports-file", ports, *lab.manager_options([]),
+                  env=its_own)
     with axon.connect(lab.at["client"]) as client:
         wait_until(lambda: len(client.entities()) == 2, "both are there")
         with pytest.raises(axon.Refused) as error:
