@@ -226,7 +226,9 @@ transport::CommunicatorSettings browserSettings(const ServerSettings& settings, 
     its.name = lane == Lane::Signal ? "axon-br-signal" : "axon-browsers";
     its.properties["IceSSL.VerifyPeer"] = "0";
     // The largest that a page sends are chunks of files, of 64 KiB, and texts that are parameters of tasks.
+    // Ice bounds what comes before there is a WebSocket by that of the communicator.
     its.properties.emplace("FrontEndServerBrowsers.MessageSizeMax", std::to_string(kBrowserSizeMaxKib));
+    its.properties.emplace("Ice.MessageSizeMax", std::to_string(kBrowserSizeMaxKib));
     // What one browser sends, or somebody who never ends a request, does not keep the others waiting.
     its.server_threads =
         lane == Lane::Signal ? std::max(2, settings.signal_threads) : std::max(4, settings.data_threads);
@@ -413,7 +415,10 @@ class Server::Parts {
         }
     }
 
-    static void leftOut(const std::string& why) { spdlog::warn("the web console is left out: {}", why); }
+    static void leftOut(std::string why) {
+        std::replace(why.begin(), why.end(), '\n', ' ');  // Ice's reasons have two lines
+        spdlog::warn("the web console is left out: {}", why);
+    }
 
     void closeBrowsers() {
         if (browsers) browsers->communicator()->destroy();
