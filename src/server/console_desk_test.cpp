@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <future>
 #include <vector>
 
@@ -115,6 +116,51 @@ TEST_F(ConsoleDeskTest, WhoGuessesPasswordsIsSlowedDown) {
         EXPECT_THAT(logIn("boss", "wrong").refusal().message, HasSubstr("wrong user or password"));
     const auto refused = logIn("boss", "wrong");
     EXPECT_THAT(refused.refusal().message, HasSubstr("try again in 1 s"));
+}
+
+TEST_F(ConsoleDeskTest, ItsSignalsNeedNoTicketAndNoForeignPageSendsAny) {
+    const auto open_signals = [&](std::optional<std::string> origin) {
+        std::optional<Result<LoggedIn>> got;
+        transport::LoginRequest request{"", "", "127.0.0.1:50122", "127.0.0.1:10419"};
+        request.origin = std::move(origin);
+        desk.signals().client(std::move(request), [&](Result<LoggedIn> who) { got.emplace(std::move(who)); });
+        return got && *got;  // at once
+    };
+    EXPECT_TRUE(open_signals("http://127.0.0.1:10417"));
+    EXPECT_TRUE(open_signals("https://lab.example"));
+    EXPECT_TRUE(open_signals(std::nullopt)) << "no browser";
+    for (const auto* foreign : {"http://other.example", "null", "", "http://127.0.0.1:10419"})
+        EXPECT_FALSE(open_signals(foreign)) << foreign;
+    EXPECT_FALSE(desk.signals().vouchedClient("boss"));
+}
+
+TEST(ConsoleDeskBounds, SoManyLogInsWaitAndNoMore) {
+    ManualClock clock;
+    SeededRandom random{1};
+    console::Visitors visitors{clock, random};
+    std::promise<void> go, all;
+    const auto gone = go.get_future().share();
+    LoginDesk logins(
+        std::nullopt, clock, [](const auto&) {},
+        [gone](const auto&, const auto&) {
+            gone.wait();
+            return ::geteuid();
+        });
+    ConsoleDesk desk(logins, false, visitors, [](const auto&) {});
+    std::atomic<int> opened{0}, overloaded{0};
+    const auto open = [&] {
+        desk.client({"", "", "127.0.0.1:50122", "127.0.0.1:10418"}, [&](Result<LoggedIn> who) {
+            if (!who && who.refusal().code == RefusalCode::Overloaded) ++overloaded;
+            if (who && ++opened == ConsoleDesk::kWaitingMax) all.set_value();
+        });
+    };
+    for (int i = 0; i < ConsoleDesk::kWaitingMax + 5; ++i) open();
+    EXPECT_EQ(overloaded, 5);
+    go.set_value();
+    all.get_future().wait();
+    open();
+    EXPECT_EQ(overloaded, 5) << "there is room again";
+    logins.close();
 }
 
 TEST_F(ConsoleWithoutUsers, TheServersOwnUserIsAdminAndForeignPagesAreRefusedAllTheSame) {

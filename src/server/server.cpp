@@ -414,7 +414,10 @@ class Server::Parts {
         }
     }
 
-    static void leftOut(const std::string& why) { spdlog::warn("the web console is left out: {}", why); }
+    static void leftOut(std::string why) {
+        std::replace(why.begin(), why.end(), '\n', ' ');  // Ice's reasons have two lines
+        spdlog::warn("the web console is left out: {}", why);
+    }
 
     void closeBrowsers() {
         if (browsers) browsers->communicator()->destroy();

@@ -5,6 +5,7 @@
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
+#include <spdlog/spdlog.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 
@@ -18,8 +19,8 @@
 #include "common/descriptor.hpp"
 #include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
-#include "server/users.hpp"
 #include "support/certificate_folder.hpp"
+#include "support/log_lines.hpp"
 #include "transport/ice/endpoint.hpp"
 
 namespace axon::test {
@@ -129,6 +130,18 @@ std::string socketAt(std::uint16_t port, const std::string& resource) {
     return "ws -h " + loopbackAddress() + " -p " + std::to_string(port) + " -r " + resource;
 }
 
+// Of the passwords secret1 to secret3. Those that axon-server writes take long to verify.
+constexpr const char* kUsers =
+    "boss admin "
+    "$6$rounds=1000$saltsalt$LvweozNq3uy/"
+    ".3XRgMXda4Dkj6Safv9Yd0DC3zz8ZSfufZc3t21qW1YwrbMBMKZI3arOYmnVgPAJWMORDSoZ6.\n"
+    "watcher observer "
+    "$6$rounds=1000$saltsalt$IcsFeTyZ4ZRtQlVjJ1XmjetGHC9zmG4II9rU2QAcYsOD1GOILoKhPBfxZ.To2zd7r4hy1h/"
+    "LHJos5XGk2/CW00\n"
+    "left entity "
+    "$6$rounds=1000$saltsalt$h7CeRQwg9/5f04A24xH1ksQkM2fVPsSuL1riltMvYMLRwVnUTkhj9MWGjmepDMnkRbAah.eo6lHpF5/"
+    "o.XnyP1\n";
+
 class Console : public testing::Test {
   protected:
     using Change = std::function<void(server::ServerSettings&)>;
@@ -137,9 +150,8 @@ class Console : public testing::Test {
               settings.console.proxies = proxies;
               if (!with_users) return;
               settings.users_file = (folder / "users.cfg").string();
-              server::writeUser(settings.users_file, "boss", server::UserRole::Admin, "secret1");
-              server::writeUser(settings.users_file, "watcher", server::UserRole::Observer, "secret2");
-              server::writeUser(settings.users_file, "left", server::UserRole::Entity, "secret3");
+              std::ofstream(settings.users_file) << kUsers;
+              fs::permissions(settings.users_file, fs::perms::owner_read | fs::perms::owner_write);
           })) {}
     explicit Console(const Change& change) {
         std::string name = (fs::temp_directory_path() / "axon-console-XXXXXX").string();
@@ -529,7 +541,13 @@ TEST(ConsoleStart, WhereAPortOfItsSessionsIsTakenTheServerStartsAndClosesTheOthe
     settings.console.signal_endpoint = its;
     EXPECT_THROW(server::Server{settings}, std::runtime_error) << "somebody has asked for it";
     settings.console.required = false;
+    const auto log = std::make_shared<LogLines>();
+    spdlog::default_logger()->sinks().push_back(log);
     const server::Server without(settings);
+    spdlog::default_logger()->sinks().pop_back();
+    EXPECT_THAT(log->all(),
+                testing::ContainsRegex("the web console is left out: [^\n]*cannot listen on[^\n]*fix: "))
+        << "one line";
     EXPECT_THAT(without.readyLine(), Not(HasSubstr("console=")));
     EXPECT_EQ(without.consoleSessionPort(), 0);
     RawClient(without.clientAddress(Lane::Data));
