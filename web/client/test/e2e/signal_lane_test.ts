@@ -105,6 +105,7 @@ test("The server names the signal lane of a page, and stops and heartbeats go ov
     assert.deepEqual([lanesOf("keepAlive"), lanesOf("sendToEntity")], [["signal"], ["data"]]);
     assert.equal(sent.find(({ operation }) => operation === "sendStopSignal")?.lane, "signal");
     await client.rearm("Counter");
+    await eventually("it is known to be rearmed", () => !robot.entity().latched);
     assert.ok((await robot.reset()).managerMs !== undefined);
 });
 
