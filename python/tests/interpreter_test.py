@@ -135,13 +135,15 @@ except KeyboardInterrupt:
 """
 
 
+def state(process):
+    with open(f"/proc/{process.pid}/status", encoding="utf-8") as status:
+        return next(line for line in status if line.startswith("State")).split()[1]
+
+
 def sleeps(child):
     """Whether its main thread was asleep each of five times that somebody looked."""
-    def state():
-        with open(f"/proc/{child.pid}/status", encoding="utf-8") as status:
-            return next(line for line in status if line.startswith("State")).split()[1]
     seen = []
-    wait_until(lambda: seen.append(state()) or seen[-5:] == ["S"] * 5, "it waits", 30)
+    wait_until(lambda: seen.append(state(child)) or seen[-5:] == ["S"] * 5, "it waits", 30)
 
 
 @pytest.mark.parametrize("wait", [
@@ -297,6 +299,7 @@ def test_what_is_granted_after_an_interrupt_is_given_back(laboratory, robot, cli
     other.wait_for("PeopleBot", 5)
     laboratory.child.send_signal(signal.SIGSTOP)
     try:
+        wait_until(lambda: state(laboratory.child) == "T", "the servers are paused")
         child.stdin.write("\n")
         child.stdin.flush()
         sleeps(child)

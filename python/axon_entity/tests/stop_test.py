@@ -135,7 +135,7 @@ def test_a_descriptor_that_blocks_is_a_failure_within_the_bound_and_works_when_t
     os.close(device)
 
 
-@pytest.mark.parametrize("kind", ["socket", "blocking"])
+@pytest.mark.parametrize("kind", ["socket"])
 def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, kind):
     """At a device that takes nothing until the order has given up."""
     bound_s = 10.0
