@@ -33,8 +33,9 @@ void tell(const char* variable, const std::string& value) {
     if (!value.empty()) ::setenv(variable, value.c_str(), 1);
 }
 
-/// Whether the program finds the password in the configuration file, so that it needs no place in the environment,
-/// which every program has that it starts. axon.shell takes it out of there as soon as it is connected.
+/// Whether the program finds the password in the configuration file, so that it needs no place in the
+/// environment, which every program has that it starts. axon.shell takes it out of there as soon as it is
+/// connected.
 bool inConfiguration(const Settings& settings) {
     if (settings.config.empty()) return false;
     const auto read = client::readConfiguration(settings.config);
