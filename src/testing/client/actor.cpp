@@ -165,6 +165,7 @@ void Actor::reportStandstill(client::Seconds after) {
 }
 
 void Actor::confirmStops(bool confirm) {
+    const Agenda::Hold hold(*agenda_);
     Outbox out;
     {
         const std::lock_guard lock(mutex_);
@@ -184,10 +185,10 @@ void Actor::sample(std::string stream, std::vector<double> numbers, std::string 
 }
 
 void Actor::heard(const proto::EmToEi& message) {
+    if (message.has_task()) return dispatched(message.task());
+    const Agenda::Hold hold(*agenda_);
     Outbox out;
     switch (message.body_case()) {
-        case proto::EmToEi::kTask:
-            return dispatched(message.task());
         case proto::EmToEi::kParam: {
             const auto& asked = message.param();
             proto::EiToEm reply;
@@ -261,6 +262,7 @@ void Actor::dispatched(const proto::TaskDispatch& task) {
         script = Script().fail(error.what());
     }
     if (script.denied_) why = script.reason_;
+    const Agenda::Hold hold(*agenda_);
     Outbox out;
     {
         const std::lock_guard lock(mutex_);
@@ -295,6 +297,7 @@ void Actor::plan(const std::string& id, Running& task, Duration in) {
 }
 
 void Actor::happen(const std::string& id) {
+    const Agenda::Hold hold(*agenda_);
     Outbox out;
     {
         const std::lock_guard lock(mutex_);
@@ -381,6 +384,7 @@ void Actor::pause(const proto::PauseTask& pause, Outbox& out) {
 }
 
 void Actor::stopped(std::uint32_t generation, StopCause cause) {
+    const Agenda::Hold hold(*agenda_);
     Outbox out;
     if (cause == StopCause::Drill) {
         out.emplace_back().mutable_stop_done()->set_drill(generation);

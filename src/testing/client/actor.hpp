@@ -97,7 +97,8 @@ class Actor : public std::enable_shared_from_this<Actor> {
 
     void dispatched(const proto::TaskDispatch& task);
     void happen(const std::string& id);
-    // Under the mutex. What is to be said is put into the outbox.
+    // Under the mutex. What is to be said is put into the outbox; the agenda is held until it has been said,
+    // so that nothing that is planned here overtakes it.
     void play(const std::string& id, Running& task, Outbox& out);
     void plan(const std::string& id, Running& task, Duration in);
     void end(const std::string& id, proto::TaskState state, const Refusal& reason, Outbox& out);

@@ -23,6 +23,16 @@ void Agenda::end() {
     if (thread_.joinable()) thread_.join();
 }
 
+Agenda::Hold::Hold(Agenda& agenda) : agenda_(agenda) {
+    const std::lock_guard lock(agenda_.mutex_);
+    ++agenda_.holds_;
+}
+
+Agenda::Hold::~Hold() {
+    const std::lock_guard lock(agenda_.mutex_);
+    if (--agenda_.holds_ == 0) agenda_.changed_.notify_all();
+}
+
 Duration Agenda::now() const {
     const std::lock_guard lock(mutex_);
     return now_;
@@ -42,7 +52,8 @@ void Agenda::cancel(std::uint64_t number) {
 }
 
 Agenda::Event Agenda::takeUntil(Duration end) {
-    const std::lock_guard lock(mutex_);
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [this] { return holds_ == 0; });
     if (events_.empty() || events_.begin()->first.first > end) return {};
     now_ = std::max(now_, events_.begin()->first.first);
     return std::move(events_.extract(events_.begin()).mapped());

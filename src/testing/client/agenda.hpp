@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <condition_variable>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -34,12 +35,24 @@ class Agenda {
     /// After this it no longer begins; one that has begun goes on.
     void cancel(std::uint64_t number);
     void advance(Duration time);
+    /// While one exists, nothing begins: for who plans something and says something that has to come before
+    /// it. Short, and without advance() or settling in between.
+    class Hold {
+      public:
+        explicit Hold(Agenda& agenda);
+        ~Hold();
+        Hold(const Hold&) = delete;
+        Hold& operator=(const Hold&) = delete;
+
+      private:
+        Agenda& agenda_;
+    };
     /// Nothing happens any more, and nothing can be planned. Waits for what is happening.
     void end();
 
   private:
     using Key = std::pair<Duration, std::uint64_t>;
-    /// The next event until `end`, at whose time it is then; none if there is none.
+    /// The next event until `end`, at whose time it is then; none if there is none. Waits for who holds it.
     Event takeUntil(Duration end);
     void run();
 
@@ -51,6 +64,7 @@ class Agenda {
     Duration now_{};
     std::uint64_t numbers_ = 0;
     std::map<Key, Event> events_;
+    std::size_t holds_ = 0;
     bool ending_ = false;
 
     std::thread thread_;

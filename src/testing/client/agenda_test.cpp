@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <string>
+#include <thread>
 
 #include "support/loopback.hpp"
 
@@ -79,6 +80,23 @@ TEST(Agenda, TimeThatPassesAtOnceTakesNoneOfTheRealOne) {
     agenda.in(24h, [&] { agenda.in(24h, [&] { ++happened; }); });
     EXPECT_TRUE(test::waitUntil([&] { return happened == 1; }));
     EXPECT_EQ(agenda.now(), 48h);
+}
+
+TEST(Agenda, WhileItIsHeldNothingBegins) {
+    for (int round = 0; round < 200; ++round) {
+        Agenda agenda(Passing::AtOnce, [] {});
+        std::atomic<int> turn{0};
+        int said = 0, happened = 0;
+        {
+            const Agenda::Hold hold(agenda);
+            agenda.in(1h, [&] { happened = ++turn; });
+            std::this_thread::yield();
+            said = ++turn;
+        }
+        ASSERT_TRUE(test::waitUntil([&] { return turn == 2; }));
+        agenda.end();
+        ASSERT_LT(said, happened);
+    }
 }
 
 TEST(Agenda, AfterItsEndNothingHappens) {
