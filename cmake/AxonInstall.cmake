@@ -76,6 +76,10 @@ if(AXON_ICE)
     install(DIRECTORY "${PROJECT_SOURCE_DIR}/${headers}" DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" COMPONENT libaxon-client-dev)
   endforeach()
 
+  # The contracts, for clients in other languages (docs/how-to/foreign-client.md).
+  install(DIRECTORY "${PROJECT_SOURCE_DIR}/api/slice" "${PROJECT_SOURCE_DIR}/api/proto" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon"
+    COMPONENT libaxon-client-dev FILES_MATCHING PATTERN "*.ice" PATTERN "*.proto")
+
   # Tests of clients: the servers and Entity Managers as a library.
   set(testing_parts axon_back_end axon_console axon_console_core axon_entity_manager axon_entity_manager_core axon_entity_server
     axon_entity_server_core

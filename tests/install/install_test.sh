@@ -71,6 +71,11 @@ TEXT
 
     install libaxon-client-dev
     only_own_headers
+    # A client in another language needs the contracts alone.
+    mkdir "$work/generated"
+    slice2py --prefix axon_ -I/usr/share/ice/slice -I"$work/prefix/share/axon/slice" --output-dir "$work/generated" "$work"/prefix/share/axon/slice/axon/*.ice
+    protoc -I"$work/prefix/share/axon/proto" --python_out="$work/generated" "$work"/prefix/share/axon/proto/axon/*.proto
+    test -f "$work/generated/axon_frontendcomm_ice.py" -a -f "$work/generated/axon/messages_pb2.py"
     configure "$work/client" >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
     cmake --build "$work/build"
     # A program that uses it is compiled with Axon's headers only.
