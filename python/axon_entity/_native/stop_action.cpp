@@ -26,7 +26,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using namespace std::chrono_literals;
 
-/// How long an order that the device does not take can keep a stop waiting.
+/// How long an order that waits, for the device or for its turn, may not notice a stop.
 constexpr int kOrderLooksForStopMs = 2;
 
 std::string why(int error) {
@@ -258,7 +258,10 @@ void WriteBytes::act() {
 }
 
 bool WriteBytes::order(const std::function<bool()>& stopped, const std::string& bytes) {
-    const std::lock_guard lock(mutex_);
+    std::unique_lock lock(mutex_, std::defer_lock);
+    do {  // a stop has its turn for as long as `within`, and the order does not wait for it
+        if (stopped() || stops_waiting_ > 0) return false;
+    } while (!lock.try_lock_for(std::chrono::milliseconds(kOrderLooksForStopMs)));
     if (stopped() || stops_waiting_ > 0) return false;
     if (!line_)
         throw std::runtime_error(

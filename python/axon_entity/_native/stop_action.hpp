@@ -95,7 +95,7 @@ class WriteBytes : public StopAction {
     /// Writes an order of a task, unless a stop of the task is requested; then returns false. No order
     /// follows the bytes of a stop: `stopped` becomes true before the action is carried out, and both take
     /// turns. An order that a device does not take gives up as soon as a stop waits, and returns false; a
-    /// part of it may be written.
+    /// part of it may be written. An order that comes during a stop does not wait for its end.
     bool order(const std::function<bool()>& stopped, const std::string& bytes);
 
   private:
@@ -111,7 +111,7 @@ class WriteBytes : public StopAction {
     const std::string bytes_;
     const std::chrono::nanoseconds within_;
     std::atomic<int> stops_waiting_{0};
-    std::mutex mutex_;
+    std::timed_mutex mutex_;
     std::shared_ptr<Line> line_;        // guarded by mutex_
     std::shared_ptr<BoundedJob> jobs_;  // guarded by jobs_mutex_; none while no line needs it
     std::mutex jobs_mutex_;

@@ -178,6 +178,39 @@ def test_an_order_gives_up_as_soon_as_a_stop_waits(ports, pair, kind):
     entity.shutdown()
 
 
+def test_an_order_does_not_wait_for_a_stop_that_the_device_keeps_waiting(ports, pair):
+    ours, theirs = pair
+    ours.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        while True:
+            ours.send(b"x" * 4096)
+    bound_s = 10.0
+    line = native.write_bytes(ours.fileno(), b"STOP", within=bound_s)
+    begin, ended = threading.Event(), threading.Event()
+
+    def prepare(entity):
+        @entity.service("Order")
+        def order(task):
+            begin.wait(60)
+            while task.order(line, b"order"):
+                pass
+            ended.set()
+
+    entity, manager = linked(ports, prepare)
+    manager.run("Order").expect_granted()
+    stop = threading.Thread(target=line.carry_out)
+    began = time.monotonic()
+    stop.start()
+    begin.set()
+    assert ended.wait(60)
+    assert time.monotonic() - began < bound_s / 2
+    while stop.is_alive():  # the device takes the bytes after all
+        if select.select([theirs], [], [], 0.01)[0]:
+            theirs.recv(65536)
+    manager.disconnect()
+    entity.shutdown()
+
+
 def test_close_fd_closes_no_other_file_that_has_got_the_number(pair):
     ours, theirs = pair
     action = native.close_fd(ours.fileno())
