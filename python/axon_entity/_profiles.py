@@ -131,7 +131,7 @@ def services_profile(services: list[ServiceSpec]) -> str:
             ("max_duration", None if service.max_duration is None else text_of(float(service.max_duration))),
             ("descr", service.descr or None),
         )
-        parameters = [*service.signature.parameters, *service.signature.outputs, *service.feedback]
+        parameters = [*service.signature.parameters, *service.feedback, *service.signature.outputs]
         inner = []
         if parameters:
             inner += ["    <Parameters>", *map(_parameter, parameters), "    </Parameters>"]

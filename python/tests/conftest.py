@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What the tests of the Python client share."""
+import os
 import pathlib
 import sys
 
@@ -10,9 +11,25 @@ import axon  # noqa: E402
 from support import Laboratory, wait_until  # noqa: E402
 
 
+@pytest.fixture(scope="session")
+def cluster():
+    """The servers of the environment "cluster"; None in the other one, where each laboratory has its own."""
+    if os.environ.get("AXON_ENVIRONMENT") != "cluster":
+        yield None
+        return
+    from cluster import Cluster
+    made = Cluster()
+    yield made
+    made.end()
+
+
 @pytest.fixture
-def laboratory(tmp_path):
-    made = Laboratory(tmp_path)
+def laboratory(cluster, tmp_path):
+    if cluster is None:
+        made = Laboratory(tmp_path)
+    else:
+        from cluster import ClusterLaboratory
+        made = ClusterLaboratory(cluster, tmp_path)
     yield made
     made.end()
 
@@ -23,9 +40,7 @@ def client(laboratory):
     opened = []
 
     def connect(**options):
-        options.setdefault("server", laboratory.server)
-        options.setdefault("name", "client1@lab")
-        lab = axon.connect(**options)
+        lab = axon.connect(**{**laboratory.options(options.get("name", "client1@lab")), **options})
         opened.append(lab)
         return lab
     yield connect

@@ -17,6 +17,7 @@ import console  # noqa: E402
 from laboratory import Laboratory, addresses, wait_until  # noqa: E402
 
 EXAMPLES = ROOT / "examples"
+ROBOTS = ["robot in C++", "robot in Python"]
 serial = iter(range(1000))
 
 
@@ -35,12 +36,12 @@ def real():
         lab.end()
 
 
-def start(lab, example, **programs):
-    """Entities of an example, with their Entity Managers."""
+def start(lab, *options, **programs):
+    """Entities of an example, each a program with the words that come before its file of ports, and their Entity Managers."""
     ports = lab.folder / "ports.cfg"
     ports.write_text(f"Axon.Ports = {lab.ports}\n")
     for application, words in programs.items():
-        lab.start(f"application-{application}", words[0], EXAMPLES / example, *[ports, *words[1:]])
+        lab.start(f"application-{application}", *words, ports, *options, env=environment_of(lab))
         lab.start(f"manager-{application}", "axon-entity-manager", "--application", application, "--ports-file", ports,
                   *lab.manager_options([]))
 
@@ -66,30 +67,38 @@ def check(lab, program, *words):
 def test_the_example_greets(real):
     lab = real()
     lab.start_server()
-    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    start(lab, Greeter=["hello-entity", EXAMPLES / "01_hello_entity"])
     check(lab, "greet.py")
 
 
-def test_the_example_draws(real):
+def python_robot(name):
+    return [sys.executable, "-u", EXAMPLES / "python" / name]
+
+
+@pytest.mark.parametrize("plotter", [["plotter-entity", EXAMPLES / "03_parameters"], python_robot("03_parameters/plotter.py")], ids=ROBOTS)
+def test_the_example_draws(real, plotter):
     lab = real()
     lab.start_server()
-    start(lab, "03_parameters", Plotter=["plotter-entity"])
+    start(lab, Plotter=plotter)
     check(lab, "draw.py", EXAMPLES / "03_parameters")
 
 
-def test_the_example_stops(real):
+@pytest.mark.parametrize("cart", [["cart-entity", EXAMPLES / "04_stop"], python_robot("04_stop/cart.py")], ids=ROBOTS)
+def test_the_example_stops(real, cart):
     lab = real()
     lab.start_server()
-    start(lab, "04_stop", Cart=["cart-entity"])
+    start(lab, Cart=cart)
     check(lab, "stop.py")
 
 
-def test_the_example_delivers(real):
+@pytest.mark.parametrize("programs", [{name: [f"{name.lower()}-entity"] for name in ("Shuttle", "Arm", "Planner")},
+                                      {name: python_robot(f"05_collaboration/{name.lower()}.py") for name in ("Shuttle", "Arm", "Planner")}], ids=ROBOTS)
+def test_the_example_delivers(real, programs):
+    example = EXAMPLES / "05_collaboration"
     lab = real()
-    (lab.services_folder / "delivery.xml").write_bytes((EXAMPLES / "05_collaboration/globalservices/delivery.xml").read_bytes())
+    (lab.services_folder / "delivery.xml").write_bytes((example / "globalservices/delivery.xml").read_bytes())
     lab.start_server()
-    start(lab, "05_collaboration", Shuttle=["shuttle-entity", "--speed", "20"], Arm=["arm-entity", "--speed", "20"],
-          Planner=["planner-entity", "--speed", "20"])
+    start(lab, "--speed", "20", **{name: [*words, example] for name, words in programs.items()})
     check(lab, "deliver.py")
     with axon.connect(lab.at["client"]) as client:
         history = client.run_history(most=1)
@@ -158,14 +167,14 @@ def test_over_tls_with_a_certificate_and_without(real):
 def test_through_the_routers_of_a_cluster(real):
     lab = real("cluster")
     lab.start_server()
-    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    start(lab, Greeter=["hello-entity", EXAMPLES / "01_hello_entity"])
     assert not tour(config=lab.env["AXON_CONFIG"])
 
 
 def test_directly_to_the_entity_manager_and_not(real):
     lab = real()
     lab.start_server()
-    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    start(lab, Greeter=["hello-entity", EXAMPLES / "01_hello_entity"])
     assert tour(lab.at["client"])
     assert not tour(lab.at["client"], direct=False)
 
@@ -173,7 +182,7 @@ def test_directly_to_the_entity_manager_and_not(real):
 def test_a_lost_server_is_told_and_the_client_comes_back(real):
     lab = real()
     server = lab.start_server()
-    start(lab, "01_hello_entity", Greeter=["hello-entity"])
+    start(lab, Greeter=["hello-entity", EXAMPLES / "01_hello_entity"])
     with axon.connect(lab.at["client"], resume=False) as client:
         client.wait_for("Greeter", 15)
         robot = client.checkout("Greeter")
@@ -232,7 +241,7 @@ def test_two_of_a_name_are_told_apart(real):
 def test_an_upload_that_was_given_up_goes_on_under_the_same_check_out_and_under_the_next(real):
     lab = real()
     lab.start_server()
-    start(lab, "03_parameters", Plotter=["plotter-entity"])
+    start(lab, Plotter=["plotter-entity", EXAMPLES / "03_parameters"])
     file = lab.folder / "drawing.txt"
     file.write_text("0.5 0.5\n" * 200_000)
     size = file.stat().st_size

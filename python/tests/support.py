@@ -7,6 +7,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 BIN = pathlib.Path(os.environ.get("AXON_BIN", ROOT / "build" / "dev" / "bin"))
 TEST_BIN = pathlib.Path(os.environ.get("AXON_TEST_BIN", ROOT / "build" / "dev" / "tests"))
@@ -82,14 +84,37 @@ class Laboratory:
             raise AssertionError(f"{what} {more}: {answer['error']}")
         return answer
 
-    def add(self, name="PeopleBot", services=DRIVE, category="ROBOT", kind="MOBILE"):
+    def options(self, name="client1@lab"):
+        """What connects a client of this name."""
+        return {"server": self.server, "name": name}
+
+    def behind_valve(self, name="client1@lab"):
+        """The same through a relay, which cut() and open() are told to."""
+        return {"server": self.do("valve")["at"], "name": name}
+
+    @staticmethod
+    def must_have_processes(why):
+        """Skips a test that this laboratory has not the means for."""
+        pytest.skip(f"of the laboratory in one process: {why}")
+
+    def cut(self):
+        self.do("cut")
+
+    def open(self):
+        self.do("open")
+
+    def add(self, name="PeopleBot", services=DRIVE, category="ROBOT", kind="MOBILE", standstill=None):
+        """`standstill`: seconds after a stop at which the robot reports that it stands still."""
         self.count += 1
         key = f"{name}-{self.count}"
         basic, profile = self.folder / f"{key}-basic.xml", self.folder / f"{key}-services.xml"
         basic.write_text(f'<BasicProfile name="{name}" category="{category}" type="{kind}" descr="a robot"/>')
         profile.write_text(services)
         self.do("add", key=key, basic=str(basic), services=str(profile))
-        return Entity(self, key)
+        entity = Entity(self, key)
+        if standstill is not None:
+            entity.do("standstill", after=standstill)
+        return entity
 
     def end(self):
         self.child.stdin.close()

@@ -6,9 +6,8 @@ from axon_entity import Entity, Range, Task, Unit
 entity = Entity("Greeter", category="MACHINE", description="Says hello, and waits.")
 
 
-@entity.service("Greet")
+@entity.service("Greet", description="Says hello to somebody, every 200 ms.")
 def greet(task: Task, Name: str, Times: Annotated[int, Range(1, 1000)] = 3) -> None:
-    """Says hello to somebody, every 200 ms."""
     for done in range(1, Times + 1):
         if not task.wait(0.2):
             return
@@ -16,9 +15,8 @@ def greet(task: Task, Name: str, Times: Annotated[int, Range(1, 1000)] = 3) -> N
         task.progress(done / Times)
 
 
-@entity.service("Wait")
+@entity.service("Wait", description="Does nothing for a while.")
 def wait(task: Task, Seconds: Annotated[float, Unit("s"), Range(0, 3600)]) -> None:
-    """Does nothing for a while."""
     task.wait(Seconds)
 
 

@@ -51,7 +51,9 @@ def hello(ports):
                   f"exec(compile(pathlib.Path({str(EXAMPLES / '01_hello_entity' / 'hello_entity.py')!r}).read_text(), 'hello_entity.py', 'exec'))"]
 
 
-def test_hello_is_seen_used_and_stopped(world):
+def test_a_python_robot_in_15_lines_is_seen_used_and_stopped(world):
+    lines = (EXAMPLES / "01_hello_entity" / "hello_entity.py").read_text().splitlines()
+    assert len([line for line in lines if line.strip() and not line.lstrip().startswith("#")]) <= 15
     world.start(hello(world.ports), "Greeter", "Greeter")
     status, lines, errors = world.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=2")
     assert status == 0, errors

@@ -14,7 +14,7 @@ import pytest
 
 from axon_entity.testing import ScriptedManager
 
-EXAMPLE = pathlib.Path(__file__).resolve().parents[3] / "examples" / "python" / "06_device" / "turntable.py"
+EXAMPLES = pathlib.Path(__file__).resolve().parents[3] / "examples" / "python"
 BEGIN = """
     import ctypes, os, signal, sys, threading, time, warnings
     import axon_entity
@@ -392,7 +392,7 @@ def turntable(start, ports, tmp_path, lost):
         sys.modules["simulated_motor"] = types.SimpleNamespace(start_motor=lambda: socket.socket(fileno=DEVICE))
         sys.modules["device_thread"] = types.SimpleNamespace(DeviceThread=DeviceThread)
         sys.argv[1:] = [{str(tmp_path / "ports.cfg")!r}]
-        runpy.run_path({str(EXAMPLE)!r})
+        runpy.run_path({str(EXAMPLES / "06_device" / "turntable.py")!r}, run_name="__main__")
     """)
     return robot, robot.link(ports, "Turntable")
 
@@ -410,3 +410,13 @@ def test_the_turntable_of_the_examples_is_told_to_stand_still_before_its_loss_is
     assert "check its cable" in ending.reason
     assert select.select([robot.device], [], [], 0)[0]
     assert robot.device.recv(4096) == b"SPEED 90\nSPEED 0\n"
+
+
+@pytest.mark.parametrize("program", ["03_parameters/plotter.py", "04_stop/cart.py", "05_collaboration/shuttle.py", "05_collaboration/arm.py",
+                                     "05_collaboration/planner.py", "06_device/turntable.py"])
+def test_an_example_that_cannot_read_its_ports_says_so_in_one_line(program, tmp_path):
+    words = [EXAMPLES.parent / "05_collaboration"] if program.startswith("05") else []
+    done = subprocess.run([sys.executable, EXAMPLES / program, *words, tmp_path / "none.cfg"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    line, = done.stderr.splitlines()
+    assert f"{tmp_path / 'none.cfg'}: cannot be read" in line and "fix: " in line
