@@ -68,6 +68,12 @@ nlohmann::json stop(client::Client& client, Entities& entities, const Stops& wis
     return {{"receipt_ms", receipts}, {"robot_ms", robots}};
 }
 
+nlohmann::json reached(Entities& entities, std::size_t i) {
+    const auto& stops = (*entities.robots())[i].stops;
+    const auto next = stops.next.load();
+    return {{"at_ns", next == 0 ? nlohmann::json() : nlohmann::json(stops.of(next - 1))}};
+}
+
 }  // namespace
 
 int runBesideConsole(const BesideConsole& wish) {
@@ -100,10 +106,15 @@ int runBesideConsole(const BesideConsole& wish) {
                 throw std::runtime_error("'" + line + "': expected stop FIRST COUNT N PERIOD_MS");
             stops.period_ns = static_cast<std::int64_t>(period_ms * 1e6);
             std::cout << stop(*client, entities, stops) << std::endl;
+        } else if (what == "reached") {
+            std::size_t i = 0;
+            words >> i;
+            if (!words || i >= wish.entities) throw std::runtime_error("'" + line + "': expected reached I");
+            std::cout << reached(entities, i) << std::endl;
         } else if (what == "scans") {
             std::cout << count.take() << std::endl;
         } else {
-            throw std::runtime_error("'" + line + "': expected stop or scans");
+            throw std::runtime_error("'" + line + "': expected stop, reached or scans");
         }
         if (const auto ended = entities.ended(); !ended.empty()) throw std::runtime_error(ended);
     }

@@ -21,6 +21,8 @@ struct BesideConsole {
 /// * `stop FIRST COUNT N PERIOD_MS`: N stops, one entity at a time, of lab-FIRST … in turn, one each period:
 ///   `receipt_ms`, from the call to the receipt that confirms it, and `robot_ms`, from the call to the begin
 ///   of the stop callback; null where it did not come.
+/// * `reached I`: `at_ns`, when the newest stop reached the robot application of lab-I, whoever has asked for
+///   it: the begin of its stop callback, in nanoseconds of CLOCK_MONOTONIC; null if there was none.
 /// * `scans`: how many have arrived since the last such line, and how many of those sent were left out.
 int runBesideConsole(const BesideConsole& wish);
 

@@ -30,7 +30,7 @@ GOOD = {
     "frames": {page: {"median": 60, "worst_5_percent": 40} for page in console.PAGES},
     "memory_after": {page: {"resident": 200, "own": 90, "heap": 20} for page in console.PAGES},
     "stops": {name: {"receipt": STOP, "robot": STOP} for name in ("absent_before", "present", "frozen", "absent_after")},
-    "in_turns": {"client": STOP, **{page: {**STOP, "p99": 4.0} for page in console.PAGES}},
+    "in_turns": {"client": STOP, "client_robot": STOP, **{page + what: {**STOP, "p99": 4.0} for page in console.PAGES for what in ("", "_robot")}},
 }
 
 
@@ -49,7 +49,7 @@ class Judgement(unittest.TestCase):
     def test_each_bound_is_one_claim(self):
         for path, value in ((("frames", "entity", "worst_5_percent"), 30), (("memory_after", "laboratory", "resident"), 300),
                             (("stops", "present", "receipt", "p50"), 1.26), (("stops", "frozen", "robot", "p99"), 3.1),
-                            (("in_turns", "entity", "p99"), 4.1)):
+                            (("in_turns", "entity", "p99"), 4.1), (("in_turns", "laboratory_robot", "p99"), 4.1)):
             self.assertEqual(len(self.missed(*path, value=value)), 1, path)
 
     def test_a_stop_that_never_came_is_the_latest(self):
@@ -57,6 +57,11 @@ class Judgement(unittest.TestCase):
         self.assertEqual(console.spread([1, None, 2])["lost"], 1)
         self.assertEqual(len(self.missed("in_turns", "entity", "p99", value=float("inf"))), 1)
         self.assertEqual(console.finite({"p99": float("inf")}), {"p99": None})
+
+    def test_a_robot_that_this_stop_has_not_reached_was_not_reached(self):
+        self.assertEqual(console.until(3_500_000, 1_000_000), 2.5)
+        for reached, pressed in ((None, 1), (1, None), (1, 2)):  # of the stop before
+            self.assertIsNone(console.until(reached, pressed))
 
     def test_frames_are_of_the_time_between_them(self):
         its = console.frames([10] * 90 + [50] * 10)
@@ -80,10 +85,16 @@ class Small(unittest.TestCase):
             self.assertEqual(its["robot"]["lost"], 0)
             self.assertGreater(its["scans_in_a_second"], 0)
         for page in console.PAGES:
-            self.assertEqual((result["in_turns"][page]["n"], result["in_turns"][page]["lost"]), (5, 0))
+            for what in ("", "_robot", "_painted", "_begun"):
+                self.assertEqual((result["in_turns"][page + what]["n"], result["in_turns"][page + what]["lost"]), (5, 0), page + what)
+            # The robot is told before it can be confirmed, and after the page has begun to act.
+            self.assertLess(result["in_turns"][page + "_robot"]["p50"], result["in_turns"][page]["p50"])
+            self.assertGreater(result["in_turns"][page + "_robot"]["p50"], result["in_turns"][page + "_begun"]["p50"])
             self.assertGreater(result["frames"][page]["n"], 2)
             self.assertGreater(result["memory_after"][page]["heap"], 1)
-        self.assertEqual(result["in_turns"]["client"]["n"], 10)
+        for what in ("client", "client_robot"):
+            self.assertEqual((result["in_turns"][what]["n"], result["in_turns"][what]["lost"]), (10, 0), what)
+        self.assertLess(result["in_turns"]["client_robot"]["p50"], result["in_turns"]["client"]["p50"])
         self.assertEqual(done.returncode, 0 if all(one["holds"] for one in result["claims"]) else 1)
 
 

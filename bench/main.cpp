@@ -1,4 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include <spdlog/sinks/stdout_sinks.h>
+#include <spdlog/spdlog.h>
+
 #include <iostream>
 
 #include "child.hpp"
@@ -7,6 +10,8 @@
 
 int main(int argc, char** argv) {
     using namespace axon::bench;
+    // Standard output is for results and answers.
+    spdlog::set_default_logger(spdlog::stderr_logger_mt("axon-bench"));
     CLI::App app{
         "Measures Axon on this machine, over loopback, next to other systems that do the same work in the "
         "same run.",

@@ -34,6 +34,7 @@ import { upload, type UploadOptions } from "./upload.js";
 import { isFinalRun, isFinalTask } from "./wire/content.js";
 
 const DRILL_MS = 1000;
+const NOTICE_LEAST_MS = 200;
 
 /** Ends what it was returned for: a callback is not called any more, a stream is not watched any more. */
 export type End = () => void;
@@ -64,6 +65,12 @@ export interface Options {
      * alive even if its operator sees nothing of it: see whileVisible().
      */
     readonly keepRunning?: () => boolean;
+    /**
+     * A connection on which nothing has come from the server for this long, at least 200 ms, is reported as `silent`, long before
+     * it is given up. The library asks the server for signs of life four times in this time. Left out: nobody asks, and `silent`
+     * is always false.
+     */
+    readonly noticeSilenceMs?: number;
     /** What a callback of the program has thrown; without it, the console is told. */
     readonly onError?: (error: unknown) => void;
     readonly clock?: Clock;
@@ -92,6 +99,7 @@ export async function connect(options: Options = {}): Promise<Client> {
         reconnect: options.reconnect ?? true,
         resume: options.resume ?? true,
         keepRunning: options.keepRunning,
+        noticeMs: Math.max(options.noticeSilenceMs ?? Infinity, NOTICE_LEAST_MS),
         onError: options.onError ?? ((error) => console.error("axon: a callback threw:", error)),
         transport: options.transport ?? new IceTransport(),
         clock: options.clock ?? usualClock(),

@@ -28,6 +28,8 @@ export interface SessionOptions {
     readonly reconnect: boolean;
     readonly resume: boolean;
     readonly keepRunning: (() => boolean) | undefined;
+    /** Infinity = the silence of the server is not told. */
+    readonly noticeMs: number;
     readonly onError: (error: unknown) => void;
     readonly transport: Transport;
     readonly clock: Clock;
@@ -123,12 +125,13 @@ export class Session implements Observer {
 
     private depth = 0;
     private departing = false;
+    private toldSilent = false;
     private readonly news: (() => void)[] = [];
     private readonly alarm: Alarm;
     private alarmAt = Infinity;
 
     constructor(readonly options: SessionOptions) {
-        this.context = new Context({ timeoutMs: options.login.timeoutMs, resume: options.resume && options.reconnect }, options.clock, options.random, this);
+        this.context = new Context({ timeoutMs: options.login.timeoutMs, resume: options.resume && options.reconnect, noticeMs: options.noticeMs }, options.clock, options.random, this);
         this.core = new SessionCore(this.context);
         this.desk = new StopDesk(this.context);
         this.since = options.clock.now();
@@ -145,6 +148,7 @@ export class Session implements Observer {
         }
     }
     private depart(): void {
+        if (this.toldSilent !== this.silent) this.sayConnection();
         if (!this.departing) {
             this.departing = true;
             for (let tell = this.news.shift(); tell !== undefined; tell = this.news.shift()) this.guarded(tell);
@@ -189,7 +193,7 @@ export class Session implements Observer {
     private setAlarm(): void {
         if (this.kind === "closed") return;
         const { server } = this.core;
-        const at = Math.min(this.core.nextDeadline(), this.desk.nextDeadline(), server.deadline, server.nextHeartbeat, this.reconnectAt, this.attachAt);
+        const at = Math.min(this.core.nextDeadline(), this.desk.nextDeadline(), server.nextDeadline(), this.reconnectAt, this.attachAt);
         this.alarmAt = at;
         this.alarm.set(at);
     }
@@ -226,6 +230,7 @@ export class Session implements Observer {
             kind: this.kind,
             ageMs: now - this.since,
             silentMs: this.core.server.silentMs,
+            silent: this.silent,
             reason: this.reason,
             tries: this.tries,
             nextTryMs: Number.isFinite(this.reconnectAt) ? Math.max(this.reconnectAt - now, 0) : undefined,
@@ -239,7 +244,14 @@ export class Session implements Observer {
         if (!same) this.since = this.options.clock.now();
         this.kind = kind;
         this.reason = reason;
+        this.sayConnection();
+    }
+    private sayConnection(): void {
+        this.toldSilent = this.silent;
         this.say(this.onConnection, this.report());
+    }
+    private get silent(): boolean {
+        return this.connected && this.core.server.silent;
     }
     get connected(): boolean {
         return this.kind === "connected";
@@ -313,7 +325,7 @@ export class Session implements Observer {
             this.attachAfter = 0;
             if (opened) {
                 this.signalLane = connection.signalLane;
-                this.say(this.onConnection, this.report());
+                this.sayConnection();
             } else {
                 this.attachAt = this.options.clock.now() + this.attachWait;
                 this.attachWait = Math.min(2 * this.attachWait, ATTACH_LAST_MS);
@@ -357,9 +369,10 @@ export class Session implements Observer {
         this.desk.onDisconnected();
     }
     private events(attempt: number): ConnectionEvents {
-        const on = (use: () => void): void => {
+        const on = (use: () => void, heard = true): void => {
             if (attempt !== this.listening) return;
             this.turn(() => {
+                if (heard) this.core.server.heard();
                 // What cannot be handled is as if it had not come.
                 if (!this.guarded(use)) ++this.context.malformed;
             });
@@ -379,12 +392,12 @@ export class Session implements Observer {
                 }),
             stopAccepted: (head, entities) => on(() => this.desk.onStopAccepted(head.seq, head.entity, entities)),
             serverText: (code, text) => on(() => this.serverText(refusalOf(code, text)?.code ?? "OK", text)),
-            heartbeat: () => on(() => this.core.onHeartbeat()),
-            closed: (reason) => on(() => this.connectionLost(attempt, reason)),
+            heartbeat: () => on(() => undefined),
+            closed: (reason) => on(() => this.connectionLost(attempt, reason), false),
         };
     }
     private onEntityMessage(head: Header, bytes: Uint8Array): void {
-        if (this.desk.onReceipt(head.entity, head.msgType, bytes)) return this.core.onHeartbeat(); // a sign of life
+        if (this.desk.onReceipt(head.entity, head.msgType, bytes)) return;
         if (head.msgType === "REPLY") this.desk.onReply(head.entity, bytes);
         this.core.onEntityMessage(head, bytes);
     }

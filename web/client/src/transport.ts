@@ -111,6 +111,8 @@ export interface Connection {
     reset(head: Header): void;
     clear(head: Header): void;
     keepAlive(count: number): void;
+    /** Asks for a sign of life, which comes as heartbeat(), and is none itself. Nothing is sent while several are not answered. */
+    ask(): void;
     /** The orderly end. */
     leave(): Promise<void>;
     /** Without a word; closed() is not called. */

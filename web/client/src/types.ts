@@ -159,8 +159,10 @@ export interface ConnectionReport {
     readonly kind: ConnectionKind;
     /** How long ago the connection was made, or lost, or closed: lost and reconnecting count from the loss. */
     readonly ageMs: number;
-    /** How long the server has been silent. While no task runs it sends a sign of life every 2 s. */
+    /** Since when nothing has come from the server. Unless it is asked (`silent`), it sends a sign of life every 2 s while no task runs. */
     readonly silentMs: number;
+    /** Of "connected": nothing has come for Options.noticeSilenceMs. False until then, and again when something comes. */
+    readonly silent: boolean;
     /** Why it was lost, or why the last try to log in again has failed. */
     readonly reason: string;
     /** Tries to log in again since the loss. */

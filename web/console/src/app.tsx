@@ -63,9 +63,11 @@ export function App(): preact.JSX.Element {
             <a class="skip" href="#main" onClick={(event) => (event.preventDefault(), main.current?.focus())}>
                 Skip to the content
             </a>
-            <Header />
-            <Banner />
-            <Questions />
+            <div class="overhead">
+                <Header />
+                <Banner />
+                <Questions />
+            </div>
             <main ref={main} id="main" class={`page of-${page}`} tabIndex={-1}>
                 <Current />
             </main>

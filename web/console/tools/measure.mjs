@@ -4,7 +4,8 @@
 //   {"do": "processes"}                 of each page: those that run pages, and the one that has their connections
 //   {"do": "frames", "seconds": 30}     of each page: milliseconds between its frames
 //   {"do": "memory"}                    of each page: its JavaScript heap, and what its process has
-//   {"do": "stop", "page": …}           presses the stop button; milliseconds until the receipt stands there
+//   {"do": "stop", "page": …}           presses the stop button; milliseconds until the receipt stands there, and when it was
+//                                       pressed, in nanoseconds of CLOCK_MONOTONIC
 //   {"do": "connected"}                 waits until each page has its session again
 //   {"do": "close"}
 import { readFileSync } from "node:fs";
@@ -12,7 +13,7 @@ import { createInterface } from "node:readline";
 import { chromium } from "playwright-core";
 
 const SETTLED_MS = 60_000;
-/** @type {Map<string, { browser: import("playwright-core").Browser, page: import("playwright-core").Page, cdp: import("playwright-core").CDPSession }>} */
+/** @type {Map<string, { browser: import("playwright-core").Browser, page: import("playwright-core").Page, cdp: import("playwright-core").CDPSession, zero: number }>} */
 const open = new Map();
 
 /** In the page: from a press to its receipt. A press counts from when the browser took it from the mouse. */
@@ -25,7 +26,7 @@ function watchStops() {
         const now = performance.now();
         pressed = undefined;
         const [server, manager, robot] = [...document.querySelectorAll(".receipts .receipt.good .stages b")].map((one) => one.textContent);
-        requestAnimationFrame(() => setTimeout(() => tell?.({ receipt_ms: now - input, handled_ms: handled - input, painted_ms: performance.now() - input, stages: { server, manager, robot } })));
+        requestAnimationFrame(() => setTimeout(() => tell?.({ input, receipt_ms: now - input, handled_ms: handled - input, painted_ms: performance.now() - input, stages: { server, manager, robot } })));
     };
     addEventListener("pointerdown", (event) => (pressed = { input: event.timeStamp, handled: performance.now() }), true);
     document.addEventListener("DOMContentLoaded", () => new MutationObserver(look).observe(document.body, { subtree: true, childList: true, attributes: true, attributeFilter: ["class"] }));
@@ -67,6 +68,26 @@ async function spent(cdp) {
     const of = (wanted) => metrics.find(({ name }) => name === wanted).value;
     return { script_ms: of("ScriptDuration") * 1000, style_ms: of("RecalcStyleDuration") * 1000, layout_ms: of("LayoutDuration") * 1000, heap: of("JSHeapUsedSize") };
 }
+/** The page tells its time in steps. */
+const STEP_MS = 0.2;
+const monotonicMs = () => Number(process.hrtime.bigint()) / 1e6;
+/**
+ * In CLOCK_MONOTONIC, the zero of the page's performance.now(), in milliseconds. Chromium has it from that clock; what the page
+ * says when it is asked for its time must agree.
+ */
+async function zeroOf(page, cdp) {
+    const { metrics } = await cdp.send("Performance.getMetrics");
+    const zero = metrics.find(({ name }) => name === "NavigationStart").value * 1000;
+    let [earliest, latest] = [-Infinity, Infinity];
+    for (let i = 0; i < 50; ++i) {
+        const before = monotonicMs();
+        const now = await page.evaluate(() => performance.now());
+        earliest = Math.max(earliest, before - now);
+        latest = Math.min(latest, monotonicMs() - now);
+    }
+    if (zero < earliest - STEP_MS || zero > latest + STEP_MS) throw new Error(`the clock of the page begins between ${earliest} and ${latest} ms, and Chromium says at ${zero} ms: its times cannot be compared with those of a robot`);
+    return zero;
+}
 /** In MiB. */
 function memoryOf(pid) {
     const of = (file, key) => Number(new RegExp(`^${key}:\\s+(\\d+)`, "m").exec(readFileSync(`/proc/${pid}/${file}`, "utf8"))?.[1] ?? 0) / 1024;
@@ -89,7 +110,7 @@ const commands = {
         }
         const cdp = await page.context().newCDPSession(page);
         await cdp.send("Performance.enable");
-        open.set(which, { browser, page, cdp });
+        open.set(which, { browser, page, cdp, zero: await zeroOf(page, cdp) });
         return {};
     },
     async processes() {
@@ -112,17 +133,17 @@ const commands = {
         return found;
     },
     async stop({ page: which }) {
-        const { page, cdp } = open.get(which);
+        const { page, cdp, zero } = open.get(which);
         const box = await page.locator(".dock .stop").boundingBox();
         await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
         const receipt = page.evaluate(() => globalThis.nextReceipt());
         const before = await spent(cdp);
         await page.mouse.down();
-        const told = await receipt;
+        const { input, ...told } = await receipt;
         const after = await spent(cdp);
         await page.mouse.up();
         await page.evaluate(() => document.querySelector('.receipts [aria-label="Close the receipt"]')?.click());
-        return { ...told, ...Object.fromEntries(["script_ms", "style_ms", "layout_ms"].map((key) => [key, after[key] - before[key]])) };
+        return { ...told, ...(input === undefined ? {} : { pressed_at_ns: Math.round((zero + input) * 1e6) }), ...Object.fromEntries(["script_ms", "style_ms", "layout_ms"].map((key) => [key, after[key] - before[key]])) };
     },
     async connected() {
         for (const { page } of open.values()) await page.locator("[data-connection=connected]").waitFor();

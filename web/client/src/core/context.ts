@@ -21,6 +21,8 @@ export interface Settings {
     readonly timeoutMs: number;
     /** Leases outlive the connection for their grace. */
     readonly resume: boolean;
+    /** The silence of the server is told after this; Infinity = it is not. */
+    readonly noticeMs: number;
 }
 /** The server has been silent for so long that it is given up. */
 export const SERVER_SILENCE_BUSY_MS = 1000;

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+import type { Connection } from "../transport.js";
 import { type Parts, SERVER_SILENCE_BUSY_MS, SERVER_SILENCE_IDLE_MS } from "./context.js";
 
 /** Signs of life in each of the server's watchdogs, and no more of them than this, whatever it says. */
@@ -7,14 +8,22 @@ const SHORTEST_BEAT_MS = 10;
 /** A program that was itself away for this long has heard nobody meanwhile, and cannot judge. */
 const AWAY_MS = 250;
 
-/** When to send a heartbeat, and whether the server is silent. */
+/** Times that the server is asked in the time after which its silence is told. */
+const ASKS_IN_NOTICE = 4;
+
+/** When to send a heartbeat or to ask for one, and whether the server is silent. */
 export class ServerWatch {
     watchdogBusyMs = 250;
     watchdogIdleMs = 10_000;
+    /** Nothing has come for Settings.noticeMs. It stays so until something comes. */
+    silent = false;
     private heardAt: number;
+    /** This program was away until then, so that silence counts from there. */
+    private backAt = -Infinity;
     /** The heartbeats of the server are fast since then. */
     private busyAt: number | undefined;
     private nextBeat = Infinity;
+    private nextAsk = Infinity;
     private beat = 0;
 
     constructor(private readonly parts: Parts) {
@@ -27,16 +36,26 @@ export class ServerWatch {
         this.busyAt = undefined;
         this.heard();
         this.nextBeat = this.parts.context.now();
+        this.nextAsk = this.nextBeat + this.noticeMs / ASKS_IN_NOTICE;
     }
     disconnected(): void {
         this.nextBeat = Infinity;
+        this.nextAsk = Infinity;
         this.busyAt = undefined;
+        this.silent = false;
     }
     heard(): void {
         this.heardAt = this.parts.context.now();
+        this.silent = false;
     }
     get silentMs(): number {
         return this.parts.context.now() - this.heardAt;
+    }
+    private get noticeMs(): number {
+        return this.parts.context.settings.noticeMs;
+    }
+    private get silentSince(): number {
+        return Math.max(this.heardAt, this.backAt);
     }
     /** What this client holds moves, or is about to. */
     get busy(): boolean {
@@ -57,25 +76,36 @@ export class ServerWatch {
     /** At which the server has been silent for too long. */
     get deadline(): number {
         if (!this.parts.context.connected) return Infinity;
-        const idle = this.heardAt + SERVER_SILENCE_IDLE_MS;
-        return this.busyAt === undefined ? idle : Math.min(idle, Math.max(this.heardAt, this.busyAt) + SERVER_SILENCE_BUSY_MS);
+        const idle = this.silentSince + SERVER_SILENCE_IDLE_MS;
+        return this.busyAt === undefined ? idle : Math.min(idle, Math.max(this.silentSince, this.busyAt) + SERVER_SILENCE_BUSY_MS);
     }
-    get nextHeartbeat(): number {
-        return this.parts.context.connected ? this.nextBeat : Infinity;
+    /** When onTimer() has something to do, or the server is to be given up. */
+    nextDeadline(): number {
+        if (!this.parts.context.connected) return Infinity;
+        return Math.min(this.deadline, this.nextBeat, this.nextAsk, this.silent ? Infinity : this.silentSince + this.noticeMs);
     }
     /** `lateMs`: how much later than it was to this call comes. */
     awayFor(lateMs: number): void {
-        if (lateMs > AWAY_MS) this.heard();
+        if (lateMs > AWAY_MS) this.backAt = this.parts.context.now();
     }
-    /** Sends a heartbeat if one is due and, while a task runs, the program permits it. */
+    /** Sends a heartbeat if one is due and, while a task runs, the program permits it. Asks the server for one. */
     onTimer(keepRunning: () => boolean): void {
-        const { context } = this.parts;
-        const now = context.now();
-        if (context.link === undefined || now < this.nextBeat) return;
+        const { link } = this.parts.context;
+        const now = this.parts.context.now();
+        if (link === undefined) return;
+        if (now >= this.nextAsk) {
+            this.nextAsk = now + this.noticeMs / ASKS_IN_NOTICE;
+            link.ask();
+        }
+        if (now >= this.silentSince + this.noticeMs) this.silent = true;
+        if (now >= this.nextBeat) this.sendBeat(link, keepRunning);
+    }
+    private sendBeat(link: Connection, keepRunning: () => boolean): void {
+        const now = this.parts.context.now();
         const fast = this.busy;
         this.nextBeat = now + this.period(fast);
         ++this.beat;
-        if (!fast || keepRunning()) context.link.keepAlive(this.beat);
+        if (!fast || keepRunning()) link.keepAlive(this.beat);
     }
     /** At once, as the sending of a task asks for. */
     beatNow(): void {

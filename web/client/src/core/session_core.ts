@@ -67,7 +67,6 @@ export class SessionCore implements Parts {
     }
 
     onProfile(presence: Presence, registration: Registration, profile: Uint8Array): void {
-        this.server.heard();
         if (presence !== "left") return this.entities.onProfile(registration, profile);
         const id = registration.entity;
         if (this.entities.facts(id) === undefined) return;
@@ -78,7 +77,6 @@ export class SessionCore implements Parts {
         this.entities.onLeft(id);
     }
     onStatus(status: Status): void {
-        this.server.heard();
         this.context.marks.raise(status.entity, status.stopGeneration);
         const joins = this.entities.onStatus(status);
         this.leases.onStatus(status);
@@ -86,12 +84,8 @@ export class SessionCore implements Parts {
         this.server.pace();
         if (!joins) this.entities.tellChanged(status.entity);
     }
-    onHeartbeat(): void {
-        this.server.heard();
-    }
 
     onEntityMessage(head: Header, bytes: Uint8Array): void {
-        this.server.heard();
         let message: proto.ToClient;
         try {
             message = decode("ToClient", bytes);
@@ -170,7 +164,6 @@ export class SessionCore implements Parts {
     }
     /** The servers could not deliver a message of this client. */
     onRefusal(head: Header, refusal: Refusal): void {
-        this.server.heard();
         if (this.checkOuts.onRefused(head.seq, head.entity, refusal)) return;
         const one = this.requests.bySequence(head.seq, head.entity);
         if (one !== undefined) return this.onRequestRefused(one, refusal);

@@ -28,6 +28,8 @@ const DATA_BYTES_MAX = 2 * (64 + 1) * 1024;
 const ROUTED_BYTES_MAX = 256 * 1024;
 /** A heartbeat through a router that wants an answer gets one within this, or the server behind it is gone. */
 const ROUTED_ANSWER_MS = 5000;
+/** Questions for a sign of life that are on their way at a time: a server that is far away is asked again before it has answered. */
+const QUESTIONS_MAX = 8;
 
 /** What a server or a router takes in one message, less what Ice writes around it. */
 const MESSAGE_BYTES_MAX = (4096 - 64) * 1024;
@@ -251,6 +253,7 @@ class IceConnection implements Connection {
     private readonly lane: PacedLane;
     private unsentSignals = 0;
     private asked = false;
+    private questions = 0;
     private over = false;
 
     constructor(
@@ -265,6 +268,7 @@ class IceConnection implements Connection {
          * the browser, which may tell nothing of it, and then in the system.
          */
         private readonly answered: boolean,
+        private readonly heard: () => void,
         private readonly close: (why: string) => void,
     ) {
         this.lane = new PacedLane(routed ? ROUTED_BYTES_MAX : DATA_BYTES_MAX, (error) => this.fail(translate(error, "the server").message));
@@ -351,6 +355,21 @@ class IceConnection implements Connection {
         }
         this.signalOn("signal", (session) => session.keepAlive(count));
     }
+    ask(): void {
+        if (this.over || this.questions >= QUESTIONS_MAX) return;
+        ++this.questions;
+        // A failure says nothing that the end of the connection does not say.
+        const done = (): void => void --this.questions;
+        const answered = (): void => {
+            done();
+            if (!this.over) this.heard();
+        };
+        try {
+            (this.signal ?? this.data).twoway.ice_ping().then(answered, done);
+        } catch {
+            done();
+        }
+    }
     async leave(): Promise<void> {
         if (this.over) return;
         this.over = true;
@@ -427,6 +446,7 @@ export class IceTransport implements Transport {
                 openSignal,
                 target.router !== undefined,
                 target.router !== undefined || target.endpoint.scheme !== "tcp",
+                () => events.heartbeat(),
                 closed,
             );
             return connection;

@@ -169,6 +169,112 @@ test("A program that was frozen does not blame the server for it", async () => {
     assert.ok(client.connected);
 });
 
+/** What onConnection said of the server's silence, without repetitions. */
+function silences(client: World["client"]): boolean[] {
+    const said: boolean[] = [];
+    client.onConnection(({ silent }) => silent !== said.at(-1) && said.push(silent));
+    return said;
+}
+const NOTICE_MS = 800;
+
+test("A silent server is told in the time that the program has chosen, and no longer than it is silent", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    server.events.heartbeat();
+    await clock.advance(NOTICE_MS - 1);
+    assert.equal(client.connection().silent, false);
+    await clock.advance(1);
+    const now = client.connection();
+    assert.deepEqual([now.kind, now.silent, now.silentMs], ["connected", true, NOTICE_MS]);
+    await clock.advance(3000);
+    assert.deepEqual(said, [false, true]);
+    server.status(ROBOT, { state: "REG", holder: ME, held: { epoch: 1, number: 1 } });
+    assert.deepEqual([said, client.connection().silent], [[false, true, false], false]);
+});
+
+test("Whatever the server sends is a sign of life", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    const signs = [
+        () => server.events.heartbeat(),
+        () => server.events.profile("joined", { entity: ARM, name: "Cyton", category: "", type: "" }, new Uint8Array(0)),
+        () => server.status(ROBOT, { state: "REG", holder: ME, held: { epoch: 1, number: 1 } }),
+        () => server.receipt(ROBOT, 99, {}),
+        () => server.events.stopAccepted({ entity: ROBOT, msgType: "STOP", held: { epoch: 0, number: 0 }, stopGeneration: 0, seq: 99, sentAtUs: 0 }, 1),
+        () => server.events.refused({ entity: ROBOT, msgType: "STOP", held: { epoch: 0, number: 0 }, stopGeneration: 0, seq: 99, sentAtUs: 0 }, new Refusal("UNAVAILABLE", "away")),
+        () => server.events.serverText(0, "hello"),
+    ];
+    for (const sign of signs) {
+        await clock.advance(NOTICE_MS - 1);
+        sign();
+    }
+    assert.deepEqual(said, [false]);
+});
+
+test("A server at rest is asked for signs of life, so that it need not send them by itself", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    server.take();
+    let asked = 0;
+    for (let i = 0; i < 40; ++i) {
+        await clock.advance(100);
+        for (const { what } of server.take()) {
+            if (what !== "ask") continue;
+            ++asked;
+            server.events.heartbeat(); // its answer
+        }
+    }
+    assert.equal(asked, 20); // four times in each time of notice
+    assert.deepEqual(said, [false]);
+});
+
+test("Without a time of notice the server is not asked, and its silence is told only as the end of the connection", async () => {
+    const { clock, server, client } = await held();
+    const said = silences(client);
+    await clock.advance(9000);
+    assert.equal(server.take().filter(({ what }) => what === "ask").length, 0);
+    assert.deepEqual(said, [false]);
+});
+
+test("A question is no heartbeat: it goes on while the program withholds those", async () => {
+    const { clock, server, robot } = await held({ noticeSilenceMs: NOTICE_MS, keepRunning: () => false });
+    robot.run("Drive", [{ name: "Distance", values: [1] }]);
+    server.take();
+    await clock.advance(400);
+    assert.deepEqual(server.take().map(({ what }) => what), ["ask", "ask"]);
+});
+
+test("A program that was frozen does not call the server silent when it goes on", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    await clock.freeze(60_000);
+    await clock.advance(NOTICE_MS - 1); // what has come meanwhile is still to be read
+    server.events.heartbeat();
+    await clock.advance(0);
+    assert.deepEqual(said, [false]);
+});
+
+test("A server that was silent before the program was frozen stays silent until it is heard", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    await clock.advance(NOTICE_MS);
+    await clock.freeze(5000);
+    assert.deepEqual([said, client.connection().silentMs], [[false, true], NOTICE_MS + 5000]);
+    server.events.heartbeat();
+    assert.deepEqual(said, [false, true, false]);
+});
+
+test("A server that was silent and is lost is no longer called silent, nor after the next log-in", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    await clock.advance(NOTICE_MS);
+    server.events.closed("the cable was pulled");
+    assert.deepEqual([client.connection().kind, client.connection().silent, client.connection().silentMs], ["lost", false, NOTICE_MS]);
+    await clock.advance(500);
+    assert.equal(client.connection().kind, "connected");
+    assert.deepEqual(said, [false, true, false]);
+});
+
 test("A lost connection is said with its age, and tried again with back-off", async () => {
     const { clock, server, client } = await world();
     const said: ConnectionReport[] = [];

@@ -50,7 +50,7 @@ export type Sent =
     | { readonly what: "request"; readonly head: Header; readonly body: Messages["ToEntity"] }
     | { readonly what: "stop"; readonly lane: Lane; readonly head: Header; readonly entities: readonly string[]; readonly cause: StopCause }
     | { readonly what: "reset" | "clear"; readonly head: Header }
-    | { readonly what: "keepAlive" };
+    | { readonly what: "keepAlive" | "ask" };
 
 export const ME: Sender = { id: "00000000-0000-8000-8000-0000000000aa", name: "me@here", role: "operator" };
 export const OTHER: Sender = { id: "00000000-0000-8000-8000-0000000000bb", name: "other@there", role: "operator" };
@@ -119,6 +119,7 @@ export class FakeServer implements Transport {
             reset: (head) => note({ what: "reset", head }),
             clear: (head) => note({ what: "clear", head }),
             keepAlive: () => note({ what: "keepAlive" }),
+            ask: () => note({ what: "ask" }),
             leave: async () => void (this.left = true),
             drop: () => void ++this.dropped,
         };

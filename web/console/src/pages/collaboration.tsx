@@ -4,12 +4,13 @@ import type { GlobalService, GlobalServices, Proposal, RoleOutlook, Run, RunHist
 import { isFinalRun } from "@axon/client";
 import { signal } from "@preact/signals";
 import { useEffect, useState } from "preact/hooks";
+import { ServerButton } from "../parts/server_button";
 import { Badge, Empty, Progress, Select } from "../parts/small";
 import { entities } from "../state/entities";
 import { checkOut, holds } from "../state/holds";
 import { asRefusal, note, refused } from "../state/journal";
 import { linkTo } from "../state/route";
-import { client } from "../state/session";
+import { client, reachable } from "../state/session";
 import { stop } from "../state/stops";
 import { formatClock, formatDate, formatMs, formatPercent, formatSpan, formatValues } from "../words/format";
 import { marks, plainKind, plainRun, plainTask, remedyOf, sentence, type Tone } from "../words/words";
@@ -164,18 +165,18 @@ function RunCard({ its: { run, at, report, service } }: { readonly its: Running 
                             Stop all of them
                         </button>
                         {report.state === "RUNNING" && (
-                            <button type="button" onClick={() => ask("paused", () => run.pause())}>
+                            <ServerButton onClick={() => ask("paused", () => run.pause())}>
                                 Pause
-                            </button>
+                            </ServerButton>
                         )}
                         {(report.state === "PAUSED" || report.state === "HELD") && (
-                            <button type="button" onClick={() => ask("resumed", () => run.resume())}>
+                            <ServerButton onClick={() => ask("resumed", () => run.resume())}>
                                 {report.state === "HELD" ? "Try the step again" : "Resume"}
-                            </button>
+                            </ServerButton>
                         )}
-                        <button type="button" onClick={() => ask("cancelled", () => run.cancel())}>
+                        <ServerButton onClick={() => ask("cancelled", () => run.cancel())}>
                             Cancel
-                        </button>
+                        </ServerButton>
                     </>
                 )}
                 <span class="quiet">
@@ -240,8 +241,9 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
         const timer = setInterval(() => document.visibilityState === "visible" && setRound((count) => count + 1), AGAIN_MS);
         return () => clearInterval(timer);
     }, []);
+    const answers = reachable.value;
     useEffect(() => {
-        if (its === undefined) return undefined;
+        if (its === undefined || !answers) return undefined;
         let wanted = true;
         const timer = setTimeout(
             () =>
@@ -255,7 +257,7 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
             wanted = false;
             clearTimeout(timer);
         };
-    }, [its, service, occasion]);
+    }, [its, service, occasion, answers]);
     if (its === undefined || proposal === undefined) return <p class="quiet">Asking the robots what they can do …</p>;
     const choiceOf = (role: RoleOutlook): string => choices.get(role.role) ?? role.entity;
     const chosen = proposal.roles.map((role) => ({ role: role.role, id: choiceOf(role) }));
@@ -288,16 +290,16 @@ function Plan({ service }: { readonly service: GlobalService }): preact.JSX.Elem
             {proposal.nobodyOffers.length > 0 && <p class="bad">No robot that is connected offers: {proposal.nobodyOffers.join(", ")}.</p>}
             <div class="act">
                 {open.length > 0 && unbound === 0 && !twice && (
-                    <button type="button" class="primary" disabled={busy} onClick={() => void take()}>
+                    <ServerButton class="primary" disabled={busy} onClick={() => void take()}>
                         Check out {open.length === chosen.length ? `all ${chosen.length}` : `the other ${open.length}`}
-                    </button>
+                    </ServerButton>
                 )}
-                <button type="button" disabled={barrier !== ""} onClick={() => begin(true)}>
+                <ServerButton disabled={barrier !== ""} onClick={() => begin(true)}>
                     Check, nothing moves
-                </button>
-                <button type="button" class={barrier === "" ? "primary" : ""} disabled={barrier !== ""} onClick={() => begin(false)}>
+                </ServerButton>
+                <ServerButton class={barrier === "" ? "primary" : ""} disabled={barrier !== ""} onClick={() => begin(false)}>
                     Run {service.name}
-                </button>
+                </ServerButton>
                 <span class="quiet">{barrier}</span>
             </div>
         </div>
@@ -361,9 +363,9 @@ function History(): preact.JSX.Element {
                 </ol>
             )}
             {history !== undefined && history.silent.length > 0 && <p class="quiet">Not heard of: {history.silent.map(({ name }) => name).join(", ")}.</p>}
-            <button type="button" disabled={busy} onClick={() => void load()}>
+            <ServerButton disabled={busy} onClick={() => void load()}>
                 Ask again
-            </button>
+            </ServerButton>
         </details>
     );
 }
@@ -382,7 +384,10 @@ export function CollaborationPage(): preact.JSX.Element {
             (error: unknown) => setTrouble(sentence(asRefusal(error).message)),
         );
     };
-    useEffect(load, [its]);
+    const answers = reachable.value;
+    useEffect(() => {
+        if (answers) load();
+    }, [its, answers]);
     const bad = found?.files.filter((file) => file.findings.length > 0) ?? [];
     return (
         <>
@@ -391,9 +396,9 @@ export function CollaborationPage(): preact.JSX.Element {
                     <h1>Collaboration</h1>
                     <p class="quiet">Jobs in which several robots work together.</p>
                 </div>
-                <button type="button" onClick={load}>
+                <ServerButton onClick={load}>
                     Look again
-                </button>
+                </ServerButton>
             </div>
             {trouble !== "" && <p class="bad">{trouble}</p>}
             {runs.value.length > 0 && (

@@ -4,10 +4,11 @@ import { useEffect, useState } from "preact/hooks";
 import { Rearm } from "../parts/dock";
 import { Jobs } from "../parts/jobs";
 import { ServiceForm } from "../parts/service_form";
+import { ServerButton } from "../parts/server_button";
 import { Age, Empty, StateBadge } from "../parts/small";
 import { loadPlots } from "../parts/plot";
 import { Streams } from "../parts/streams";
-import { entities } from "../state/entities";
+import { entities, type Seen } from "../state/entities";
 import { checkOut, type Hold, holds, lastHolds, type Pending, pending } from "../state/holds";
 import { journal, refused } from "../state/journal";
 import { linkTo } from "../state/route";
@@ -27,17 +28,17 @@ function Held({ hold }: { readonly hold: Hold }): preact.JSX.Element {
             </p>
             <p class="quiet">If this tab closes or loses the server, the robot is stopped at once, unless its task is allowed to go on without you. It stays yours for a few seconds, so that the page can be loaded again; then it is free. While it moves, keep this tab in sight: two seconds out of sight stop it.</p>
             <div class="row">
-                <button type="button" onClick={() => void hold.release()}>
+                <ServerButton onClick={() => void hold.release()}>
                     Release it
-                </button>
+                </ServerButton>
                 {(hold.busy || (seen !== undefined && canMove(seen.entity))) && (
                     <>
-                        <button type="button" title="Stops what runs and goes on with the next task that waits" onClick={() => void hold.checkOut.reset().catch((error: unknown) => refused("The task was not ended", error, entity))}>
+                        <ServerButton title="Stops what runs and goes on with the next task that waits" onClick={() => void hold.checkOut.reset().catch((error: unknown) => refused("The task was not ended", error, entity))}>
                             End the current task
-                        </button>
-                        <button type="button" title="Stops what runs and forgets the tasks that wait" onClick={() => void hold.checkOut.clear().catch((error: unknown) => refused("The queue was not emptied", error, entity))}>
+                        </ServerButton>
+                        <ServerButton title="Stops what runs and forgets the tasks that wait" onClick={() => void hold.checkOut.clear().catch((error: unknown) => refused("The queue was not emptied", error, entity))}>
                             End all tasks
-                        </button>
+                        </ServerButton>
                     </>
                 )}
             </div>
@@ -69,9 +70,9 @@ function Free({ entity }: { readonly entity: Entity }): preact.JSX.Element {
         return (
             <div class="hold">
                 <p>Nobody has it. Check it out, and it obeys only you until you release it.</p>
-                <button type="button" class="primary big" disabled={away} onClick={() => void checkOut(its, entity, "take")}>
+                <ServerButton class="primary big" disabled={away} onClick={() => void checkOut(its, entity, "take")}>
                     Check out {entity.name}
-                </button>
+                </ServerButton>
                 {away && <p class="quiet">Not possible now: it is {plainState(entity).short}.</p>}
             </div>
         );
@@ -82,9 +83,9 @@ function Free({ entity }: { readonly entity: Entity }): preact.JSX.Element {
                 <strong>{entity.holder.name}</strong> has it{entity.waiting > 0 && `, and ${entity.waiting} in line`}.
             </p>
             <div class="row">
-                <button type="button" class="primary" onClick={() => void checkOut(its, entity, "wait")}>
+                <ServerButton class="primary" onClick={() => void checkOut(its, entity, "wait")}>
                     Wait in line
-                </button>
+                </ServerButton>
                 <button type="button" aria-expanded={asking} onClick={() => setAsking(!asking)}>
                     Ask {entity.holder.name} for it …
                 </button>
@@ -101,13 +102,13 @@ function Free({ entity }: { readonly entity: Entity }): preact.JSX.Element {
                     <label for="reason">Why you need it</label>
                     <input id="reason" value={reason} maxLength={200} onInput={(event) => setReason(event.currentTarget.value)} placeholder="shown to the holder" />
                     <div class="row">
-                        <button type="submit" class="primary">
+                        <ServerButton type="submit" class="primary">
                             Ask
-                        </button>
+                        </ServerButton>
                         {its.self.role === "admin" && (
-                            <button type="button" class="danger" title="It is stopped first, and its holder is told" onClick={() => void checkOut(its, entity, "force", reason)}>
+                            <ServerButton class="danger" title="It is stopped first, and its holder is told" onClick={() => void checkOut(its, entity, "force", reason)}>
                                 Take it by force
-                            </button>
+                            </ServerButton>
                         )}
                     </div>
                 </form>
@@ -157,7 +158,7 @@ function Messages({ hold }: { readonly hold: Hold }): preact.JSX.Element {
                     Message to the robot application
                 </label>
                 <input id="message" value={text} maxLength={4000} onInput={(event) => setText(event.currentTarget.value)} placeholder="a text for the robot application" />
-                <button type="submit">Send</button>
+                <ServerButton type="submit">Send</ServerButton>
             </form>
         </details>
     );
@@ -195,9 +196,9 @@ function Technical({ entity, details }: { readonly entity: Entity; readonly deta
                 <dd>
                     {entity.stopLatencyMs === undefined ? "not measured by the server yet" : `${formatMs(entity.stopLatencyMs)} from the server, as last measured`}
                     <br />
-                    <button type="button" disabled={drill === "running"} onClick={() => void measure()}>
+                    <ServerButton disabled={drill === "running"} onClick={() => void measure()}>
                         Measure from here, without stopping it
-                    </button>
+                    </ServerButton>
                     {times.length > 0 && (
                         <>
                             {" "}
@@ -219,15 +220,16 @@ function Technical({ entity, details }: { readonly entity: Entity; readonly deta
     );
 }
 
-function useDetails(entity: Entity | undefined): { readonly details: Details | undefined; readonly trouble: string } {
+function useDetails(seen: Seen | undefined): { readonly details: Details | undefined; readonly trouble: string } {
     const [details, setDetails] = useState<Details>();
     const [trouble, setTrouble] = useState("");
     const its = client.value;
+    const { entity, fresh = false } = seen ?? {};
     const id = entity?.id;
     // What services there are may have changed when the entity has.
     const occasion = `${entity?.state} ${entity?.latched} ${entity?.holder?.id}`;
     useEffect(() => {
-        if (its === undefined || id === undefined) return undefined;
+        if (its === undefined || id === undefined || !fresh) return undefined;
         let wanted = true;
         const timer = setTimeout(() => {
             its.details(id).then(
@@ -243,7 +245,7 @@ function useDetails(entity: Entity | undefined): { readonly details: Details | u
             wanted = false;
             clearTimeout(timer);
         };
-    }, [its, id, occasion]);
+    }, [its, id, occasion, fresh]);
     return { details, trouble };
 }
 
@@ -251,7 +253,7 @@ export function EntityPage({ id }: { readonly id: string }): preact.JSX.Element 
     const seen = entities.value.get(id);
     const hold = holds.value.get(id);
     const past = lastHolds.value.get(id);
-    const { details, trouble } = useDetails(seen?.entity);
+    const { details, trouble } = useDetails(seen);
     // Not when the first sample arrives: that is when a task has just begun, and the heartbeats of this page are fast.
     useEffect(loadPlots, []);
     const [service, setService] = useState("");

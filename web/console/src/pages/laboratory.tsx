@@ -10,6 +10,7 @@ import { offered } from "../state/catalogue";
 import { BATTERY, useLive } from "../state/live";
 import { agoOf, liveOf } from "../state/live_store";
 import { linkTo } from "../state/route";
+import { silent } from "../state/session";
 import { ticked } from "../state/stops";
 import { formatCount, formatMs } from "../words/format";
 import { canMove, plainKind, plainState } from "../words/words";
@@ -145,7 +146,7 @@ function Unready(): preact.JSX.Element | null {
 
 function Cards({ list }: { readonly list: readonly Seen[] }): preact.JSX.Element {
     useLive(
-        list.filter(({ fresh }) => fresh).map(({ entity }) => entity.id),
+        list.filter(({ fresh }) => fresh || silent.value).map(({ entity }) => entity.id),
         BATTERY,
         1000,
     );

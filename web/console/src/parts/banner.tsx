@@ -1,43 +1,45 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 import { useEffect, useState } from "preact/hooks";
 import { holds } from "../state/holds";
-import { client } from "../state/session";
+import { client, connection, heardAt } from "../state/session";
 import { formatClock, formatSpan } from "../words/format";
 import { sentence } from "../words/words";
 
 const LOOK_MS = 250;
-/** At rest the server sends a sign of life every 2 s. */
-const SILENT_MS = 3500;
 
-/** Says that there is no connection, for how long, and what that means. */
+/** Says that the server does not answer or is not connected, since when, and what that means. */
 export function Banner(): preact.JSX.Element | null {
+    const since = heardAt.value;
     const its = client.value;
-    const [report, setReport] = useState(its?.connection());
+    const [, redraw] = useState(0);
+    const shown = since !== undefined;
     useEffect(() => {
-        if (its === undefined) return undefined;
-        const look = (): void => setReport(its.connection());
-        const end = its.onConnection(look);
-        const timer = setInterval(look, LOOK_MS);
-        return () => {
-            end();
-            clearInterval(timer);
-        };
-    }, [its]);
-    if (report === undefined || report.kind === "closed") return null;
-    if (report.kind === "connected") {
-        if (report.silentMs < SILENT_MS) return null;
+        if (!shown) return undefined;
+        const timer = setInterval(() => redraw((count) => count + 1), LOOK_MS);
+        return () => clearInterval(timer);
+    }, [shown]);
+    const kind = connection.value?.kind;
+    if (since === undefined || its === undefined || kind === undefined || kind === "closed") return null;
+    const report = its.connection();
+    const mine = [...holds.value.values()].map((hold) => hold.entity.name);
+    const held = (when: string): string => (mine.length === 0 ? "" : `What you hold (${mine.join(", ")}) ${when}, unless its task may go on without you. `);
+    // What changes by itself is hidden from screen readers, which would read it out again and again.
+    if (kind === "connected") {
         return (
-            <div class="banner wait" role="status">
-                <strong>The server has been silent for {formatSpan(report.silentMs)}.</strong> What you see may be old.
+            <div class="banner wait" role="alert">
+                <strong>The server does not answer</strong>
+                <span aria-hidden="true">: nothing for {formatSpan(report.silentMs)}</span>. What you see is from {formatClock(since)}. {held("is stopped if this lasts")}
+                Stops from this page may arrive late or not at all: use the emergency stop of the robot itself.
             </div>
         );
     }
-    const mine = [...holds.value.values()].map((hold) => hold.entity.name);
     return (
         <div class="banner bad" role="alert">
-            <strong>No connection to the server</strong> <span aria-hidden="true">for {formatSpan(report.ageMs)}</span>. What you see is from {formatClock(Date.now() - report.ageMs)}.{" "}
-            {mine.length > 0 && `The server stops what you hold (${mine.join(", ")}) by itself. `}
-            Stops from this page may not arrive: use the emergency stop of the robot itself. <span class="quiet">{sentence(report.reason)} Trying again{report.nextTryMs === undefined ? " now" : ""}.</span>
+            <strong>No connection to the server</strong> <span aria-hidden="true">for {formatSpan(report.ageMs)}</span>. What you see is from {formatClock(since)}. {held("is stopped without this page")}
+            Stops from this page may not arrive: use the emergency stop of the robot itself.{" "}
+            <span class="quiet">
+                {sentence(report.reason)} <span aria-hidden="true">Trying again{report.nextTryMs === undefined ? " now" : ""}.</span>
+            </span>
         </div>
     );
 }

@@ -8,6 +8,7 @@ import { client } from "../state/session";
 import { chosen, describe, type Order, order, press, type Scope, scope, summary, these } from "../state/stops";
 import { formatClock, formatMs } from "../words/format";
 import { marks } from "../words/words";
+import { ServerButton } from "./server_button";
 
 function Stage({ name, at }: { readonly name: string; readonly at: number | undefined }): preact.JSX.Element {
     return (
@@ -25,9 +26,9 @@ export function Rearm({ id }: { readonly id: string }): preact.JSX.Element | nul
         return <span class="quiet">{entity.holder === undefined ? "Whoever checks it out next, or an administrator, can rearm it." : `${entity.holder.name} or an administrator can rearm it.`}</span>;
     }
     return (
-        <button type="button" onClick={() => void rearm(its, entity)}>
+        <ServerButton onClick={() => void rearm(its, entity)}>
             Rearm {entity.name}
-        </button>
+        </ServerButton>
     );
 }
 
@@ -49,15 +50,20 @@ function Line({ receipt }: { readonly receipt: Receipt }): preact.JSX.Element {
     );
 }
 
-/** A press counts when it begins. Keys and screen readers click without one. */
+/** A press counts when it begins. Keys and screen readers click without one; a click soon after the end of a press belongs to it. */
+const CLICK_MS = 1000;
 let pressedAt = -Infinity;
+let releasedAt = -Infinity;
 function StopButton({ which }: { readonly which: Scope }): preact.JSX.Element {
     const begin = (event: Event): void => {
         pressedAt = performance.now();
         press(which, event.timeStamp);
     };
+    const release = (): void => {
+        if (pressedAt > releasedAt) releasedAt = performance.now();
+    };
     return (
-        <button type="button" class="stop" onPointerDown={(event) => event.button === 0 && begin(event)} onClick={(event) => performance.now() - pressedAt > 1000 && begin(event)}>
+        <button type="button" class="stop" onPointerDown={(event) => event.button === 0 && begin(event)} onPointerUp={release} onClick={(event) => performance.now() - Math.max(pressedAt, releasedAt) > CLICK_MS && begin(event)}>
             <b>STOP</b> <span>{describe(which)}</span>
         </button>
     );

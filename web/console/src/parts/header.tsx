@@ -2,7 +2,7 @@
 import { useState } from "preact/hooks";
 import { holds } from "../state/holds";
 import { linkTo, type Page, page, route } from "../state/route";
-import { client, connection, logout, ownName, rename, user } from "../state/session";
+import { client, connection, logout, ownName, reachable, rename, user } from "../state/session";
 import { latched } from "../state/entities";
 import { formatCount } from "../words/format";
 import { nextTheme, theme } from "./theme";
@@ -66,7 +66,8 @@ function Account(): preact.JSX.Element {
 
 export function Header(): preact.JSX.Element {
     const report = connection.value;
-    const good = report?.kind === "connected";
+    const good = reachable.value;
+    const kind = report?.silent === true ? "silent" : (report?.kind ?? "none");
     return (
         <header class="top">
             <a class="brand" href={linkTo("laboratory")} aria-label="Axon, to the laboratory">
@@ -82,8 +83,8 @@ export function Header(): preact.JSX.Element {
                 </Link>
             </nav>
             <div class="corner">
-                <span class={`line ${good ? "good" : "bad"}`} data-connection={report?.kind ?? "none"} title={good ? "Connected to the server" : report?.reason}>
-                    <span aria-hidden="true">{good ? "●" : "▲"}</span> {good ? "connected" : "no connection"}
+                <span class={`line ${good ? "good" : "bad"}`} data-connection={kind} title={good ? "Connected to the server" : kind === "silent" ? "The server does not answer" : report?.reason}>
+                    <span aria-hidden="true">{good ? "●" : "▲"}</span> {good ? "connected" : kind === "silent" ? "no answer" : "no connection"}
                 </span>
                 <Account key={route.value.page} />
                 <button type="button" class="plain" onClick={nextTheme} aria-label={`Colours: ${themes[theme.value].slice(2)}. Change`} title={`Colours: ${themes[theme.value].slice(2)}`}>

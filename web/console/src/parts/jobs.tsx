@@ -5,6 +5,7 @@ import type { Hold, Job } from "../state/holds";
 import { refused } from "../state/journal";
 import { formatClock, formatMs, formatPercent, formatSpan, formatValues } from "../words/format";
 import { plainTask, remedyOf, sentence } from "../words/words";
+import { ServerButton } from "./server_button";
 import { Badge, Empty, Progress } from "./small";
 
 function JobCard({ hold, job }: { readonly hold: Hold; readonly job: Job }): preact.JSX.Element {
@@ -45,19 +46,19 @@ function JobCard({ hold, job }: { readonly hold: Hold; readonly job: Job }): pre
             {report.state === "UNKNOWN" && report.reason === undefined && <p class="bad">{long}</p>}
             <div class="row">
                 {open && service?.pausable === true && report.state !== "PAUSED" && report.state !== "QUEUED" && (
-                    <button type="button" onClick={() => ask("paused", () => job.task.pause())}>
+                    <ServerButton onClick={() => ask("paused", () => job.task.pause())}>
                         Pause
-                    </button>
+                    </ServerButton>
                 )}
                 {report.state === "PAUSED" && (
-                    <button type="button" onClick={() => ask("resumed", () => job.task.resume())}>
+                    <ServerButton onClick={() => ask("resumed", () => job.task.resume())}>
                         Resume
-                    </button>
+                    </ServerButton>
                 )}
                 {open && (
-                    <button type="button" onClick={() => ask("cancelled", () => job.task.cancel())}>
+                    <ServerButton onClick={() => ask("cancelled", () => job.task.cancel())}>
                         Cancel
-                    </button>
+                    </ServerButton>
                 )}
                 <span class="quiet">
                     {formatClock(job.at)}, {ended === undefined ? formatSpan(now.value - job.at) : formatMs(ended - job.at)}

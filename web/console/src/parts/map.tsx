@@ -8,10 +8,11 @@ import { say } from "../state/journal";
 import { MAPPED, useLive } from "../state/live";
 import { agoOf, isOld, type Live, liveOf } from "../state/live_store";
 import { linkTo } from "../state/route";
+import { silent } from "../state/session";
 import { formatNumber } from "../words/format";
 import { marks, plainState } from "../words/words";
-import { draw } from "./streams";
-import { linesBetween, type View, viewOf } from "./view";
+import { type Colour, draw, paintGrid } from "./paint";
+import { type Box, boxAround, type Point, type View, viewOf } from "./view";
 
 const DRAW_MS = 100;
 const LABELS_MS = 250;
@@ -33,24 +34,6 @@ function placeOf({ entity }: Seen): Place {
     if (live?.pose === undefined || Math.hypot(live.pose.x - x, live.pose.y - y) > SAME_FRAME_M) return { x, y, yaw: undefined, live: undefined };
     return { x: live.pose.x, y: live.pose.y, yaw: live.pose.yaw, live };
 }
-type Colour = (name: string) => string;
-function paintGrid(pen: CanvasRenderingContext2D, view: View, colour: Colour): void {
-    const { wide, high, step, scale } = view;
-    const left = -view.x(0) / scale;
-    const foot = (view.y(0) - high) / scale;
-    pen.strokeStyle = colour("--line");
-    pen.lineWidth = 1;
-    pen.beginPath();
-    for (const x of linesBetween(left, left + wide / scale, step)) {
-        pen.moveTo(Math.round(view.x(x)) + 0.5, 0);
-        pen.lineTo(Math.round(view.x(x)) + 0.5, high);
-    }
-    for (const y of linesBetween(foot, foot + high / scale, step)) {
-        pen.moveTo(0, Math.round(view.y(y)) + 0.5);
-        pen.lineTo(wide, Math.round(view.y(y)) + 0.5);
-    }
-    pen.stroke();
-}
 function paintFloor(pen: CanvasRenderingContext2D, view: View, plan: Floor, colour: Colour): void {
     pen.strokeStyle = colour("--text");
     pen.lineWidth = 2;
@@ -69,17 +52,26 @@ function paintFloor(pen: CanvasRenderingContext2D, view: View, plan: Floor, colo
     }
     pen.textAlign = "start";
 }
+const reachOf = ({ maxRange }: Scan): number => (maxRange > 0 ? maxRange : Infinity);
+const angleOf = (scan: Scan, yaw: number | undefined, i: number): number => (yaw ?? 0) + (scan.angles[i] ?? scan.startAngle + i * scan.step);
+const farOf = (scan: Scan, range: number): number => Math.min(Number.isFinite(range) && range > 0 ? range : 0, reachOf(scan));
+/** Where the beams end that are drawn now. */
+function endsOf({ x, y, yaw, live }: Place, at: number): readonly Point[] {
+    return [...(live?.scans.values() ?? [])].flatMap(({ scan, at: then }) =>
+        isOld(then, at) ? [] : scan.ranges.map((range, i) => ({ x: x + Math.cos(angleOf(scan, yaw, i)) * farOf(scan, range), y: y + Math.sin(angleOf(scan, yaw, i)) * farOf(scan, range) })),
+    );
+}
 /** What the beams see is free; sonars see in cones. */
 function paintFan(pen: CanvasRenderingContext2D, view: View, { x, y, yaw }: Place, scan: Scan, colour: string): void {
-    const reach = scan.maxRange > 0 ? scan.maxRange : Infinity;
-    const angle = (i: number): number => (yaw ?? 0) + (scan.angles[i] ?? scan.startAngle + i * scan.step);
+    const reach = reachOf(scan);
+    const angle = (i: number): number => angleOf(scan, yaw, i);
     const few = scan.ranges.length <= 32;
     pen.fillStyle = colour;
     pen.globalAlpha = few ? 0.22 : 0.13;
     pen.beginPath();
     pen.moveTo(view.x(x), view.y(y));
     scan.ranges.forEach((range, i) => {
-        const far = Math.min(Number.isFinite(range) && range > 0 ? range : 0, reach);
+        const far = farOf(scan, range);
         if (few) {
             pen.moveTo(view.x(x), view.y(y));
             pen.arc(view.x(x), view.y(y), far * view.scale, -angle(i) - 0.13, -angle(i) + 0.13);
@@ -114,6 +106,11 @@ function paint(pen: CanvasRenderingContext2D, view: View, seen: readonly Seen[],
     });
 }
 
+function boxOf(before: Box | undefined, place: Place, at: number): Box {
+    // The trail grows at the robot, which is in the box anyway.
+    const driven = before ?? place.live?.trail.reduce<Box | undefined>((box, one) => boxAround(box, one, []), undefined);
+    return boxAround(driven, place, endsOf(place, at));
+}
 async function choose(file: File | undefined): Promise<void> {
     if (file === undefined) return;
     const why = await openFloor(file);
@@ -124,12 +121,18 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
     const box = useRef<HTMLDivElement>(null);
     const canvas = useRef<HTMLCanvasElement>(null);
     const [size, setSize] = useState({ wide: 0, high: 0 });
-    const fresh = seen.filter((one) => one.fresh);
+    const fresh = seen.filter((one) => one.fresh || silent.value);
     useLive(fresh.slice(0, LIVE_MAX).map(({ entity }) => entity.id), MAPPED, LABELS_MS);
     const plan = floor.value;
     const places = seen.map(placeOf);
     const { wide, high } = size;
-    const view = viewOf(places, plan?.lines, Math.max(wide, 1), Math.max(high, 1));
+    const at = performance.now();
+    // Without walls, what is seen and driven is in the picture. Walls are around all of that.
+    const boxes = useRef<ReadonlyMap<string, Box>>(new Map());
+    if (plan !== undefined) boxes.current = new Map();
+    else boxes.current = new Map(seen.map(({ entity }, i) => [entity.id, boxOf(boxes.current.get(entity.id), places[i] as Place, at)]));
+    const corners = [...boxes.current.values()].flatMap(({ low, high: top }) => [low, top]);
+    const view = viewOf([...places, ...corners], plan?.lines, Math.max(wide, 1), Math.max(high, 1));
     const latest = useRef({ seen, view, plan });
     latest.current = { seen, view, plan };
     useEffect(() => {
@@ -151,7 +154,6 @@ export function LabMap({ seen }: { readonly seen: readonly Seen[] }): preact.JSX
             cancelAnimationFrame(frame);
         };
     }, []);
-    const at = performance.now();
     // Several at one place stand beside each other.
     const taken = new Map<string, number>();
     return (

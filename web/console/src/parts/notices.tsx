@@ -4,6 +4,7 @@ import { holds, type Hold } from "../state/holds";
 import { dismiss, notices } from "../state/journal";
 import { linkTo, route } from "../state/route";
 import { formatSpan } from "../words/format";
+import { ServerButton } from "./server_button";
 
 export function Notices(): preact.JSX.Element {
     return (
@@ -44,12 +45,10 @@ function Question({ hold }: { readonly hold: Hold }): preact.JSX.Element | null 
                 </span>
             </div>
             <div class="row">
-                <button type="button" class="primary" onClick={() => hold.answer(false)}>
+                <ServerButton class="primary" onClick={() => hold.answer(false)}>
                     Keep it
-                </button>
-                <button type="button" onClick={() => hold.answer(true)}>
-                    Hand it over (it stops first)
-                </button>
+                </ServerButton>
+                <ServerButton onClick={() => hold.answer(true)}>Hand it over (it stops first)</ServerButton>
             </div>
         </div>
     );

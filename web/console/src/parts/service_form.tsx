@@ -4,8 +4,10 @@ import { acceptValue, type Argument, type Entity, parseValue, Refusal, type Para
 import { useId, useState } from "preact/hooks";
 import { openFloor } from "../state/floor";
 import type { Hold } from "../state/holds";
+import { reachable } from "../state/session";
 import { fieldText, formatBytes, formatNumber, formatValue, formatValues, plainNumber } from "../words/format";
 import { plainLoss, sentence } from "../words/words";
+import { NOT_NOW, ServerButton } from "./server_button";
 import { Badge, Progress } from "./small";
 
 const LIST_MAX = 100;
@@ -128,10 +130,10 @@ function Setting({ service, meta, hold }: { readonly service: Service; readonly 
             }}
         >
             <Field meta={meta} text={shown} touched={changed} disabled={hold === undefined} onText={setText} />
-            <button type="submit" disabled={hold === undefined || busy || !changed || read.wrong !== "" || read.values.length === 0}>
+            <ServerButton type="submit" disabled={hold === undefined || busy || !changed || read.wrong !== "" || read.values.length === 0}>
                 {busy ? "…" : "Set"}
                 <span class="unseen"> {meta.name}</span>
-            </button>
+            </ServerButton>
         </form>
     );
 }
@@ -140,7 +142,7 @@ function ResourceRow({ service, resource, hold }: { readonly service: Service; r
     const id = useId();
     const [over, setOver] = useState(false);
     const upload = hold?.uploads.value.get(`${service.name}\n${resource.name}`);
-    const ready = hold !== undefined && upload?.state !== "sending";
+    const ready = hold !== undefined && reachable.value && upload?.state !== "sending";
     const take = (file: File | undefined): void => {
         if (file === undefined || hold === undefined || !ready) return;
         void openFloor(file); // if it is a map; the upload says whether it can be read
@@ -216,7 +218,7 @@ export function ServiceForm({ entity, service, hold }: FormProps): preact.JSX.El
     ];
     const wrong = inputs.filter((meta) => readField(meta, textOf(meta)).wrong !== "").map(({ name }) => name);
     const barrier =
-        hold === undefined ? `Check out ${entity.name} first.` : hold.orphaned.value ? "Not possible while the connection is lost." : entity.latched ? `${entity.name} was stopped. Rearm it first.` : !service.active ? `The robot has switched this off${service.inactiveReason === "" ? "." : `: ${service.inactiveReason}`}` : "";
+        !reachable.value ? NOT_NOW : hold === undefined ? `Check out ${entity.name} first.` : hold.orphaned.value ? "Not possible while the connection is lost." : entity.latched ? `${entity.name} was stopped. Rearm it first.` : !service.active ? `The robot has switched this off${service.inactiveReason === "" ? "." : `: ${service.inactiveReason}`}` : "";
     const lacks = [missing.length > 0 ? `Still missing: ${missing.join(", ")}.` : "", wrong.length > 0 ? `Not understood: ${wrong.join(", ")}.` : ""].filter((one) => one !== "").join(" ");
     const running = hold !== undefined && hold.busy;
     const submit = (form: HTMLFormElement): void => {

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The streams of an entity, each drawn as what it is. Samples arrive as they like; drawing follows the screen.
-import type { Picture, Pose, Sample, Scan } from "@axon/client";
+import type { Picture, Sample } from "@axon/client";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { client } from "../state/session";
 import { formatCount, formatNumber, formatRough } from "../words/format";
+import { draw, paintScan, paintTrail } from "./paint";
 import { Empty } from "./small";
 import { Plot, type Series } from "./plot";
 
@@ -58,96 +59,6 @@ class Channel {
         const span = (window.at(-1) ?? 0) - (window[0] ?? 0);
         return window.length > 2 && span > 0 ? ((window.length - 1) * 1000) / span : 0;
     }
-}
-
-/** Draws into a canvas that is as sharp as the screen. */
-export function draw(canvas: HTMLCanvasElement, paint: (pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string) => void): void {
-    const wide = canvas.clientWidth;
-    const high = canvas.clientHeight;
-    const sharp = devicePixelRatio || 1;
-    if (canvas.width !== Math.round(wide * sharp) || canvas.height !== Math.round(high * sharp)) {
-        canvas.width = Math.round(wide * sharp);
-        canvas.height = Math.round(high * sharp);
-    }
-    const pen = canvas.getContext("2d");
-    if (pen === null || wide === 0) return;
-    pen.setTransform(sharp, 0, 0, sharp, 0, 0);
-    pen.clearRect(0, 0, wide, high);
-    const style = getComputedStyle(canvas);
-    paint(pen, wide, high, (name) => style.getPropertyValue(name));
-}
-
-function paintScan(scan: Scan, pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string): void {
-    const angle = (i: number): number => scan.angles[i] ?? scan.startAngle + i * scan.step;
-    // As far as something was seen, in whole steps so that the picture does not tremble.
-    const reach = scan.maxRange > 0 ? scan.maxRange : Infinity;
-    const seen = scan.ranges.reduce((most, range) => (range > most && range < reach ? range : most), 0);
-    const limit = [1, 2, 4, 8, 16, 32, 64].find((one) => one >= seen * 1.05) ?? Math.max(seen, 1);
-    // The robot looks up. A half circle needs only the upper half.
-    const behind = scan.ranges.some((_, i) => Math.cos(angle(i)) < -0.2);
-    const scale = Math.min(wide / 2 - 6, behind ? high / 2 - 6 : high - 22) / limit;
-    const x0 = wide / 2;
-    const y0 = behind ? high / 2 : high - 14;
-    pen.strokeStyle = colour("--line");
-    pen.fillStyle = colour("--quiet");
-    pen.font = "11px system-ui, sans-serif";
-    for (let ring = 1; ring <= 4; ++ring) {
-        pen.beginPath();
-        pen.arc(x0, y0, (limit * ring * scale) / 4, 0, 2 * Math.PI);
-        pen.stroke();
-        pen.fillText(`${formatNumber((limit * ring) / 4)} m`, x0 + 3, y0 - (limit * ring * scale) / 4 + 12);
-    }
-    pen.fillStyle = colour("--accent");
-    scan.ranges.forEach((range, i) => {
-        if (!Number.isFinite(range) || range <= 0 || range > limit) return;
-        pen.fillRect(x0 - Math.sin(angle(i)) * range * scale - 1.5, y0 - Math.cos(angle(i)) * range * scale - 1.5, 3, 3);
-    });
-    pen.fillStyle = colour("--text");
-    pen.beginPath();
-    pen.moveTo(x0, y0 - 8);
-    pen.lineTo(x0 + 5, y0 + 5);
-    pen.lineTo(x0 - 5, y0 + 5);
-    pen.fill();
-}
-function paintTrail(pose: Pose, trail: readonly { x: number; y: number }[], pen: CanvasRenderingContext2D, wide: number, high: number, colour: (name: string) => string): void {
-    const all = [...trail, pose];
-    const x = all.map((one) => one.x);
-    const y = all.map((one) => one.y);
-    const mid = { x: (Math.min(...x) + Math.max(...x)) / 2, y: (Math.min(...y) + Math.max(...y)) / 2 };
-    const scale = Math.min((wide - 40) / Math.max(Math.max(...x) - Math.min(...x), 1), (high - 40) / Math.max(Math.max(...y) - Math.min(...y), 1));
-    const at = (one: { x: number; y: number }): [number, number] => [wide / 2 + (one.x - mid.x) * scale, high / 2 - (one.y - mid.y) * scale];
-    pen.strokeStyle = colour("--line");
-    for (let metre = Math.ceil(mid.x - wide / 2 / scale); metre <= mid.x + wide / 2 / scale; ++metre) {
-        if (scale < 8 && metre % 10 !== 0) continue;
-        pen.beginPath();
-        pen.moveTo(at({ x: metre, y: 0 })[0], 0);
-        pen.lineTo(at({ x: metre, y: 0 })[0], high);
-        pen.stroke();
-    }
-    for (let metre = Math.ceil(mid.y - high / 2 / scale); metre <= mid.y + high / 2 / scale; ++metre) {
-        if (scale < 8 && metre % 10 !== 0) continue;
-        pen.beginPath();
-        pen.moveTo(0, at({ x: 0, y: metre })[1]);
-        pen.lineTo(wide, at({ x: 0, y: metre })[1]);
-        pen.stroke();
-    }
-    pen.fillStyle = colour("--quiet");
-    pen.font = "11px system-ui, sans-serif";
-    pen.fillText(`One square is ${formatNumber(scale < 8 ? 10 : 1)} m`, 8, high - 8);
-    pen.strokeStyle = colour("--accent");
-    pen.lineWidth = 2;
-    pen.beginPath();
-    trail.forEach((one, i) => (i === 0 ? pen.moveTo(...at(one)) : pen.lineTo(...at(one))));
-    pen.stroke();
-    const [px, py] = at(pose);
-    pen.translate(px, py);
-    pen.rotate(-pose.yaw);
-    pen.fillStyle = colour("--text");
-    pen.beginPath();
-    pen.moveTo(11, 0);
-    pen.lineTo(-7, 6);
-    pen.lineTo(-7, -6);
-    pen.fill();
 }
 
 const types: Readonly<Record<string, string>> = { jpeg: "image/jpeg", jpg: "image/jpeg", png: "image/png", webp: "image/webp" };

@@ -13,6 +13,11 @@ export interface Point {
     readonly x: number;
     readonly y: number;
 }
+/** From the lower left to the upper right corner. */
+export interface Box {
+    readonly low: Point;
+    readonly high: Point;
+}
 type Line = readonly [number, number, number, number];
 
 /** More lines than this are none that somebody could tell from each other. */
@@ -23,6 +28,22 @@ function stepOf(span: number): number {
     const rough = span / 8;
     const power = 10 ** Math.floor(Math.log10(rough));
     return ([1, 2, 5].find((factor) => factor * power >= rough) ?? 10) * power;
+}
+const BOX_STEP_M = 1;
+/** What is further from its robot is not worth a smaller picture, and is cut off at the edge. */
+const SEEN_MAX_M = 10;
+/**
+ * `before`, and what is seen from `from` as well. It grows by whole steps and never shrinks, so that the picture stands still
+ * while the distances tremble.
+ */
+export function boxAround(before: Box | undefined, from: Point, seen: readonly Point[]): Box {
+    let { low, high } = before ?? { low: from, high: from };
+    for (const { x, y } of [from, ...seen]) {
+        const near = { x: Math.min(Math.max(x, from.x - SEEN_MAX_M), from.x + SEEN_MAX_M), y: Math.min(Math.max(y, from.y - SEEN_MAX_M), from.y + SEEN_MAX_M) };
+        if (near.x < low.x || near.y < low.y) low = { x: Math.min(low.x, Math.floor(near.x / BOX_STEP_M) * BOX_STEP_M), y: Math.min(low.y, Math.floor(near.y / BOX_STEP_M) * BOX_STEP_M) };
+        if (near.x > high.x || near.y > high.y) high = { x: Math.max(high.x, Math.ceil(near.x / BOX_STEP_M) * BOX_STEP_M), y: Math.max(high.y, Math.ceil(near.y / BOX_STEP_M) * BOX_STEP_M) };
+    }
+    return { low, high };
 }
 /** What is around all of them; they are finite. */
 export function viewOf(places: readonly Point[], walls: readonly Line[] | undefined, wide: number, high: number): View {

@@ -5,7 +5,7 @@ import { effect, signal } from "@preact/signals";
 import { isDue } from "./due";
 import { entities } from "./entities";
 import { page } from "./route";
-import { client } from "./session";
+import { client, reachable } from "./session";
 
 const AT_ONCE = 3;
 const LOOK_MS = 5000;
@@ -18,7 +18,7 @@ let busy = 0;
 const inSight = (): boolean => page.peek() === "laboratory" && !document.hidden;
 function ask(): void {
     const its = client.peek();
-    if (its?.connected !== true) return;
+    if (its === undefined || !reachable.peek()) return;
     for (const { entity, fresh } of entities.peek().values()) {
         if (busy >= AT_ONCE) return;
         const answered = offered.peek().has(entity.id);

@@ -12,7 +12,7 @@ const FORGET_MS = 15_000;
 
 export interface Seen {
     readonly entity: Entity;
-    /** False: the connection to the server was lost, and `entity` is how it was then. */
+    /** False: the server is silent or the connection to it was lost, and `entity` is how it was when the server was last heard. */
     readonly fresh: boolean;
     readonly seenAt: number;
     readonly heldSince: number;
@@ -21,6 +21,8 @@ export interface Seen {
 }
 
 const known = new Map<string, Seen>();
+/** When the server was last heard, if it is silent. */
+let silentSince: number | undefined;
 let publishing = false;
 /** By UUID, ready ones only. */
 export const entities = signal<ReadonlyMap<string, Seen>>(new Map());
@@ -33,7 +35,8 @@ function publish(): void {
     publishing = true;
     setTimeout(() => {
         publishing = false;
-        entities.value = new Map(known);
+        const since = silentSince;
+        entities.value = new Map(since === undefined ? known : [...known].map(([id, one]) => [id, one.fresh ? { ...one, fresh: false, seenAt: since } : one]));
     }, TOGETHER_MS);
 }
 
@@ -53,13 +56,13 @@ function changes(before: Entity, after: Entity): void {
 const PLACE_MAX_MM = 1e9;
 const placed = (mm: number): number => (Math.abs(mm) <= PLACE_MAX_MM ? mm : 0);
 
-function onNews({ presence, entity: told, connectionLost }: EntityNews): void {
+function onNews({ presence, entity: told, connectionLost }: EntityNews, heardAt: number): void {
     const entity: Entity = { ...told, xMm: placed(told.xMm), yMm: placed(told.yMm), zMm: placed(told.zMm) };
     const before = known.get(entity.id);
     const at = Date.now();
     if (presence === "left") {
         if (before === undefined) return;
-        if (connectionLost) known.set(entity.id, { ...before, fresh: false, seenAt: at });
+        if (connectionLost) known.set(entity.id, { ...before, fresh: false, seenAt: heardAt });
         else {
             known.delete(entity.id);
             note("fault", entity, "left the laboratory");
@@ -90,7 +93,16 @@ export function follow(client: Client): () => void {
             return known.get(id)?.entity.name ?? id;
         }
     };
-    const end = client.onEntity(onNews);
+    const heardAt = (): number => Date.now() - client.connection().silentMs;
+    silentSince = undefined;
+    const ends = [
+        client.onEntity((news) => onNews(news, heardAt())),
+        client.onConnection(({ silent }) => {
+            if (silent === (silentSince !== undefined)) return;
+            silentSince = silent ? heardAt() : undefined;
+            publish();
+        }),
+    ];
     const look = setInterval(() => {
         const others = client.entities("all").filter(({ ready }) => !ready);
         const same = others.length === unready.value.length && others.every((one, at) => JSON.stringify(one) === JSON.stringify(unready.value[at]));
@@ -103,7 +115,7 @@ export function follow(client: Client): () => void {
         if (gone.length > 0) publish();
     }, 1000);
     return () => {
-        end();
+        for (const end of ends) end();
         clearInterval(look);
     };
 }

@@ -275,12 +275,23 @@ addEventListener("pagehide", () => {
     if (tickets.length > 0) sessionStorage.setItem(TICKETS, JSON.stringify({ user: owner, tickets }));
 });
 let owner = "";
+/** No tickets, if it is not what the listener above has left: other pages of this address may write there, too. */
+function readTickets(text: string): { readonly user: string; readonly tickets: readonly string[] } {
+    const nothing = { user: owner, tickets: [] };
+    try {
+        const left = JSON.parse(text) as { user?: unknown; tickets?: unknown } | null;
+        const fits = typeof left?.user === "string" && Array.isArray(left.tickets) && left.tickets.every((one) => typeof one === "string");
+        return fits ? (left as { user: string; tickets: string[] }) : nothing;
+    } catch {
+        return nothing;
+    }
+}
 export async function resumeHolds(client: Client, user: string): Promise<void> {
     owner = user;
     const text = sessionStorage.getItem(TICKETS);
     sessionStorage.removeItem(TICKETS);
     if (text === null) return;
-    const left = JSON.parse(text) as { user: string; tickets: string[] };
+    const left = readTickets(text);
     if (left.user !== user) {
         note("who", undefined, "what this page held before it was loaded again was another user's, and is not resumed");
         return;

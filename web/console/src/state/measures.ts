@@ -5,7 +5,7 @@ import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 import { asRefusal } from "./journal";
 import { sorted } from "./entities";
-import { client } from "./session";
+import { client, reachable } from "./session";
 
 const KEPT = 500;
 const EVERY_MS = 2000;
@@ -47,7 +47,7 @@ let turn = 0;
 async function measure(): Promise<void> {
     const its = client.peek();
     const all = sorted.peek().map(({ entity }) => entity.id);
-    if (its?.connected !== true || all.length === 0) return;
+    if (its === undefined || !reachable.peek() || all.length === 0) return;
     const some = all.length <= AT_ONCE ? all : Array.from({ length: AT_ONCE }, (_, i) => all[(turn + i) % all.length] ?? "");
     turn = (turn + AT_ONCE) % all.length;
     const asked = some.map(async (id): Promise<readonly [string, Margins]> => {

@@ -33,6 +33,3 @@ export const page = computed(() => route.value.page);
 addEventListener("hashchange", () => (route.value = read()));
 
 export const linkTo = (to: Page, subject = ""): string => `#/${to}${subject === "" ? "" : `/${encodeURIComponent(subject)}`}`;
-export function goTo(to: Page, subject = ""): void {
-    location.hash = linkTo(to, subject);
-}

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // The session of this page: log-in, connection, and who the person is.
 import { type Client, connect, type ConnectionReport, type Credentials, type Refusal, ticketFrom } from "@axon/client";
-import { signal } from "@preact/signals";
+import { computed, signal } from "@preact/signals";
 import { follow } from "./entities";
 import { keepRunning } from "./guard";
 import { abandon, resumeHolds } from "./holds";
 import { asRefusal, note, say } from "./journal";
 
 const RETRY_MS = 1500;
+/** A person sees within a second that the server is silent; drawing takes its time, too. */
+const SILENCE_MS = 700;
 
 /** connecting: not yet, or no longer; login: somebody has to log in first. A session that comes back by itself stays open. */
 export type Phase = "connecting" | "login" | "open";
@@ -16,6 +18,12 @@ export const phase = signal<Phase>("connecting");
 export const problem = signal("");
 export const client = signal<Client | undefined>(undefined);
 export const connection = signal<ConnectionReport | undefined>(undefined);
+/** The server answers: what is shown is how it is now, and what only the server can do can be asked for. */
+export const reachable = computed(() => connection.value?.kind === "connected" && !connection.value.silent);
+/** There is a connection, and nothing comes over it. */
+export const silent = computed(() => connection.value?.silent === true);
+/** When the server was last heard, on the clock of Date.now(), unless it is reachable. */
+export const heardAt = signal<number | undefined>(undefined);
 /** The user who has logged in; empty where the server asks nobody. */
 export const user = signal("");
 /** By that others know this page, if the server has no users. */
@@ -55,6 +63,8 @@ function opened(its: Client): void {
     const opener = (openedBy = user.value);
     its.onConnection((report) => {
         connection.value = report;
+        if (reachable.value) heardAt.value = undefined;
+        else heardAt.value ??= Date.now() - report.silentMs;
         if (report.kind === "closed" && report.ended !== undefined && client.value === its) void replaced(opener);
         if (before?.kind !== report.kind && report.kind !== "reconnecting" && !(before?.kind === "reconnecting" && report.kind === "lost")) {
             if (report.kind === "lost") note("connection", undefined, `the connection to the server was lost: ${report.reason}`);
@@ -63,6 +73,8 @@ function opened(its: Client): void {
                 if (before !== undefined) say("good", "The connection to the server is back.");
             }
         }
+        if (before?.silent !== true && report.silent) note("connection", undefined, "the server is silent");
+        if (before?.silent === true && report.kind === "connected" && !report.silent) note("connection", undefined, "the server is heard again");
         before = report;
     });
     its.onServerText(({ code, text }) => {
@@ -92,13 +104,14 @@ export async function start(): Promise<void> {
     while (own === generation) {
         try {
             if (ownName.value === "") rename(`guest ${String(Math.floor(1000 + Math.random() * 9000))}`, false);
-            const its = await connect({ credentials, displayName: `${ownName.value.replaceAll("@", " ")}@web`, keepRunning });
+            const its = await connect({ credentials, displayName: `${ownName.value.replaceAll("@", " ")}@web`, keepRunning, noticeSilenceMs: SILENCE_MS });
             if (own === generation) return opened(its);
             return await its.close();
         } catch (error) {
+            if (own !== generation) return; // somebody has logged out meanwhile, or begun again
             const refusal: Refusal = asRefusal(error);
             problem.value = refusal.message;
-            if (refusal.code === "PERMISSION_DENIED" && own === generation) return askForLogin();
+            if (refusal.code === "PERMISSION_DENIED") return askForLogin();
             await new Promise((wake) => setTimeout(wake, RETRY_MS));
         }
     }
@@ -130,6 +143,7 @@ async function end(): Promise<void> {
     abandon();
     client.value = undefined;
     connection.value = undefined;
+    heardAt.value = undefined;
     await its?.close();
 }
 export async function logout(): Promise<void> {

@@ -7,7 +7,7 @@ import { holds, onUnseen } from "./holds";
 import { asRefusal, note } from "./journal";
 import { measureStop } from "./measures";
 import { route } from "./route";
-import { client } from "./session";
+import { client, reachable } from "./session";
 
 /** A stop is sent again until it is confirmed, for this long. */
 const CONFIRM_MS = 3000;
@@ -78,7 +78,7 @@ export async function stop(ids: readonly string[] | "all", what: string, pressed
     order.value = { number, at: Date.now(), what, receipts: [], done: false, trouble: "" };
     note("stop", undefined, `this page stops ${what}`);
     const its = client.value;
-    const cut = its?.connected !== true ? "There is no connection to the server, so this stop may reach nobody. Use the emergency stop of the robot itself." : "";
+    const cut = reachable.peek() ? "" : `${its?.connected === true ? "The server does not answer" : "There is no connection to the server"}, so this stop may reach nobody. Use the emergency stop of the robot itself.`;
     update({ trouble: cut });
     if (its === undefined) return update({ done: true });
     try {

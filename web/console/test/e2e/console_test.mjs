@@ -15,6 +15,17 @@ const PAGES = ["#/", "#/collaboration", "#/activity", "#/stop"];
 const HOSTILE = '"><img src=x onerror="globalThis.hacked=1"><script>globalThis.hacked=2</script>{{7*7}}';
 const asXml = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
 
+/** Notes when the banner about the server came and went, on the clock of Date.now(). */
+const watchBanner = () => {
+    globalThis.banners = [];
+    let shown = false;
+    const look = () => {
+        const is = document.querySelector("[role=alert].banner") !== null;
+        if (is !== shown) globalThis.banners.push({ shown: (shown = is), at: Date.now() });
+    };
+    new MutationObserver(look).observe(document, { childList: true, subtree: true });
+};
+
 const jobs = mkdtempSync(join(tmpdir(), "axon-jobs-"));
 /** @type {House} */
 let house;
@@ -111,6 +122,16 @@ test("EveryPageStopsAtTheSamePlace", limited, async () => {
     await page.keyboard.press("Escape");
     await page.keyboard.press("Escape");
     await page.getByText("Confirmed by all 2.").waitFor();
+    // However long the button is held, that is one stop.
+    await page.getByRole("button", { name: "Close the receipt" }).click();
+    await stop.hover();
+    await page.mouse.down();
+    await page.getByText("Confirmed by all 2.").waitFor();
+    await page.waitForTimeout(1200);
+    await page.getByRole("button", { name: "Close the receipt" }).evaluate((button) => button.click());
+    await page.mouse.up();
+    await page.waitForTimeout(100);
+    assert.equal(await page.getByRole("region", { name: "Receipt of the stop" }).count(), 0);
     await goTo(page, "#/stop");
     await page.getByRole("button", { name: "Stop Counter", exact: true }).click();
     await page.getByText("Stop of Counter").waitFor();
@@ -152,7 +173,7 @@ test("AHiddenTabStopsItsRobotAfterAWarning", limited, async () => {
 
 test("ABackgroundTabWithoutTimersKeepsItsRobot", limited, async () => {
     const programs = house.startPatientCounter();
-    const [page, watcher] = await Promise.all([house.person({ name: "client1", script: throttleable }), house.person({ name: "client2" })]);
+    const [page, watcher] = await Promise.all([house.person({ name: "client1", script: `(${throttleable})(); (${watchBanner})();` }), house.person({ name: "client2" })]);
     await page.locator("[data-entity=Patient]").waitFor({ timeout: 20_000 });
     await openEntity(page, "Patient");
     await checkOut(page, "Patient");
@@ -168,6 +189,7 @@ test("ABackgroundTabWithoutTimersKeepsItsRobot", limited, async () => {
     assert.equal(await watcher.locator(".entries li", { hasText: "Patient" }).filter({ hasText: /is lost|was stopped/ }).count(), 0);
     await page.evaluate(() => globalThis.throttle(false));
     await page.locator("[data-task=SUCCEEDED]").waitFor();
+    assert.deepEqual(await page.evaluate(() => globalThis.banners), []);
     await page.getByRole("button", { name: "Release it" }).click();
     await goTo(watcher, "#/");
     await Promise.all([programs.app.end(), programs.manager.end()]);
@@ -248,9 +270,12 @@ test("TheServerIsStartedAgain", limited, async () => {
         await goTo(page, where);
         await page.locator(".banner.bad", { hasText: "No connection to the server" }).waitFor();
     }
-    await goTo(page, "#/");
+    // What could not be asked for is asked for when the server is back.
+    await openEntity(page, "Counter");
     await house.startServer();
     await page.locator("[data-connection=connected]").waitFor();
+    await page.locator("[data-service=Count]").waitFor();
+    await goTo(page, "#/");
     await page.locator("[data-entity=Greeter].mine:not(.stale)", { hasText: "Yours" }).waitFor({ timeout: 15_000 });
     await page.locator("[data-entity=Counter]:not(.stale)").waitFor({ timeout: 15_000 });
     await openEntity(page, "Greeter");
@@ -265,6 +290,71 @@ test("TheServerIsStartedAgain", limited, async () => {
     await page.context().close();
 });
 
+test("TheServerFallsSilent", limited, async () => {
+    const page = await house.person({ script: watchBanner });
+    await openEntity(page, "Counter");
+    await page.locator("[data-service=Count]").waitFor();
+    const checkOutCounter = page.getByRole("button", { name: "Check out Counter" });
+    assert.equal(await checkOutCounter.getAttribute("aria-disabled"), null);
+    const server = house.lab.server.child;
+    await page.evaluate(() => scrollTo(0, document.body.scrollHeight));
+    assert.ok(await page.evaluate(() => scrollY > 0));
+    try {
+        const begin = Date.now();
+        server.kill("SIGSTOP");
+        const banner = page.locator(".banner.wait", { hasText: "The server does not answer" });
+        await banner.waitFor();
+        const [{ at }] = await page.evaluate(() => globalThis.banners);
+        assert.ok(at - begin < 1000, `it took ${at - begin} ms`);
+        await page.locator("[data-connection=silent]").waitFor();
+        const box = await banner.boundingBox();
+        assert.ok(box.y >= 0 && box.y + box.height < 400, JSON.stringify(box)); // wherever the person has scrolled to
+        // Grey, with its age; and what only the server can do is not offered.
+        await page.locator(".title.stale", { hasText: /as it was (a moment|\d+ s) ago/ }).waitFor();
+        assert.equal(await checkOutCounter.getAttribute("aria-disabled"), "true");
+        await checkOutCounter.focus();
+        await page.keyboard.press("Enter");
+        await page.getByText("Not possible while the server does not answer.").waitFor();
+        assert.equal(await page.getByText("Checking out …").count(), 0);
+        assert.deepEqual(await obstacles(page), []);
+        // The stop can be pressed, and says what it is worth.
+        await page.locator(".dock .stop").click();
+        await page.getByText("The server does not answer, so this stop may reach nobody.").waitFor();
+    } finally {
+        server.kill("SIGCONT");
+    }
+    await page.locator("[data-connection=connected]").waitFor();
+    await page.locator(".banner.wait").waitFor({ state: "detached" });
+    await page.getByText("Confirmed by it.").waitFor(); // the stop has arrived after all
+    await page.locator(".title:not(.stale)").waitFor();
+    assert.equal(await checkOutCounter.getAttribute("aria-disabled"), null);
+    await checkOut(page, "Counter");
+    await page.locator(".banner.inline").getByRole("button", { name: "Rearm Counter" }).click();
+    await page.getByText("Counter is rearmed.").waitFor();
+    await page.getByRole("button", { name: "Release it" }).click();
+    assert.deepEqual(await page.evaluate(() => globalThis.banners.map(({ shown }) => shown)), [true, false]);
+    await goTo(page, "#/activity");
+    await page.getByText("the server is heard again", { exact: true }).waitFor();
+    await page.context().close();
+});
+
+test("ATabThatWasFrozenDoesNotBlameTheServer", limited, async () => {
+    const page = await house.person({ script: watchBanner });
+    await page.locator("[data-entity=Counter]").waitFor();
+    const rounds = () => page.evaluate(() => globalThis.rounds ?? 0);
+    await page.evaluate(() => setInterval(() => (globalThis.rounds = (globalThis.rounds ?? 0) + 1), 100));
+    for (let i = 0; i < 3; ++i) {
+        const before = await rounds();
+        await house.freezeTabs(2500);
+        const went = (await rounds()) - before;
+        assert.ok(went < 10, `it went on for ${went} rounds of 25`);
+    }
+    await page.waitForTimeout(1500);
+    assert.deepEqual(await page.evaluate(() => globalThis.banners), []);
+    await page.locator("[data-connection=connected]").waitFor();
+    await page.context().close();
+});
+
 test("TextsAreNeverMarkup", limited, async () => {
     // Two applications of one name are one too many, so the first one goes.
     await Promise.all([greeter.app.end(), greeter.manager.end()]);
@@ -275,7 +365,7 @@ test("TextsAreNeverMarkup", limited, async () => {
             .replaceAll(/descr="(Says hello to|Whom)[^"]*"/g, `descr="${asXml(HOSTILE)}"`)
             .replace('units="s"', `units="&lt;img src=x onerror=alert(1)&gt;"`),
     );
-    const page = await house.person({ name: HOSTILE.slice(0, 40) });
+    const page = await house.person({ name: HOSTILE.slice(0, 40), script: () => sessionStorage.setItem("axon-tickets", '{"user": 5}') });
     await page.locator("[data-entity='Evil<b>bold']").waitFor({ timeout: 15_000 });
     await page.locator("[data-entity='Evil<b>bold'] h3 a").click();
     await page.getByText("<img src=x").first().waitFor();

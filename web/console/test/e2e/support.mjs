@@ -104,6 +104,16 @@ export class House {
         await page.goto(this.url + path);
         return page;
     }
+    /** All of them, with their workers, as a computer does that sleeps. */
+    async freezeTabs(ms) {
+        const session = await browser.newBrowserCDPSession();
+        const { processInfo } = await session.send("SystemInfo.getProcessInfo");
+        await session.detach();
+        const tabs = processInfo.map(({ id }) => id).filter((id) => readFileSync(`/proc/${id}/cmdline`, "utf8").includes("--type=renderer"));
+        for (const id of tabs) process.kill(id, "SIGSTOP");
+        await new Promise((wake) => setTimeout(wake, ms));
+        for (const id of tabs) process.kill(id, "SIGCONT");
+    }
     async end() {
         await Promise.all(this.contexts.map((one) => one.close()));
         await this.lab.end();

@@ -14,7 +14,8 @@ async function load(file) {
     return import(`data:text/javascript;base64,${Buffer.from(`${outputFiles[0].text}\n// ${++loads}`).toString("base64")}`);
 }
 const { parseFloor } = await load("state/floor.ts");
-const { viewOf, linesBetween } = await load("parts/view.ts");
+const { boxAround, viewOf, linesBetween } = await load("parts/view.ts");
+const { paintTrail } = await load("parts/paint.ts");
 const { agoOf, isOld, keepOnly, liveOf, Subscriptions, take } = await load("state/live_store.ts");
 const { isDue } = await load("state/due.ts");
 const { quantile } = await load("parts/histogram.tsx");
@@ -124,6 +125,28 @@ test("AGridHasFewLinesHoweverFarTheRobotsAre", () => {
     assert.deepEqual(linesBetween(Number.NaN, Number.NaN, 1), []);
     assert.deepEqual(linesBetween(5, 4, 1), []);
 });
+test("WhatARobotSeesIsInsideTheMapAndTheMapStandsStill", () => {
+    const robot = { x: 1.5, y: 2 };
+    const seen = [{ x: 5.7, y: 2 }, { x: 1.5, y: -1.2 }];
+    const box = boxAround(undefined, robot, seen);
+    for (const view of [viewOf([robot, box.low, box.high], undefined, 800, 400), viewOf([robot, box.low, box.high], undefined, 300, 500)]) {
+        for (const { x, y } of seen) assert.ok(view.x(x) >= 0 && view.x(x) <= view.wide && view.y(y) >= 0 && view.y(y) <= view.high, `${view.x(x)} ${view.y(y)}`);
+    }
+    // Distances that tremble, a person who walks by and is gone, a robot that drives: it is the same, or larger.
+    assert.deepEqual(boxAround(box, robot, [{ x: 5.72, y: 2 }, { x: 1.5, y: -1.15 }]), box);
+    assert.deepEqual(boxAround(box, { x: 2, y: 1 }, []), box);
+    assert.deepEqual(boxAround(box, { x: -4.5, y: 2 }, []), { low: { x: -5, y: -2 }, high: box.high });
+    // What is too far away to be worth it is cut off.
+    assert.deepEqual(boxAround(undefined, { x: 0, y: 0 }, [{ x: 1e30, y: 0 }, { x: 0, y: -80 }]), { low: { x: 0, y: -10 }, high: { x: 10, y: 0 } });
+});
+test("ATrailCostsTheSameHoweverFarARobotSaysThatItWent", () => {
+    for (const far of [1, 1e6, 1e9]) {
+        let calls = 0;
+        const pen = new Proxy({}, { get: () => () => ++calls, set: () => true });
+        paintTrail({ x: far, y: -far, yaw: 0 }, [{ x: 0, y: 0 }], pen, 300, 200, () => "");
+        assert.ok(calls < 300, `${calls} calls for ${far} m`);
+    }
+});
 test("WhatIsOldIsSaidToBe", () => {
     const sample = (stream, content, arrivedAtMs) => take("a", { entity: "a", stream, sequence: 1, takenAtUs: 0, arrivedAtMs, content });
     sample("battery", { kind: "scalar", value: 12.34, units: "V" }, 1000);
@@ -136,6 +159,97 @@ test("WhatIsOldIsSaidToBe", () => {
     assert.equal(liveOf("a"), live);
     keepOnly(new Map());
     assert.equal(liveOf("a"), undefined);
+});
+/** Time that stands still until it is told to go on; `end` gives the real one back. */
+function heldTime(now) {
+    const plain = { setTimeout, setInterval, clearTimeout, clearInterval, now: Date.now };
+    const waiting = new Map();
+    let last = 0;
+    const start = (every) => (call, ms) => (waiting.set(++last, { call, at: now + ms, every: every ? ms : 0 }), last);
+    globalThis.setTimeout = start(false);
+    globalThis.setInterval = start(true);
+    globalThis.clearTimeout = globalThis.clearInterval = (id) => waiting.delete(id);
+    Date.now = () => now;
+    return {
+        advance(ms) {
+            for (const end = now + ms; ; ) {
+                const [id, next] = [...waiting].sort(([, a], [, b]) => a.at - b.at)[0] ?? [];
+                if (next === undefined || next.at > end) {
+                    now = end;
+                    return;
+                }
+                now = next.at;
+                if (next.every > 0) next.at += next.every;
+                else waiting.delete(id);
+                next.call();
+            }
+        },
+        end() {
+            const { now: real, ...timers } = plain;
+            Object.assign(globalThis, timers);
+            Date.now = real;
+        },
+    };
+}
+/** A client whose news a test tells. */
+class ToldClient {
+    connected = true;
+    silentMs = 0;
+    ageMs = 60_000;
+    there = [];
+    tell = { entity: () => {}, connection: () => {} };
+    onEntity(call) {
+        this.tell.entity = call;
+        return () => {};
+    }
+    onConnection(call) {
+        this.tell.connection = call;
+        return () => {};
+    }
+    connection() {
+        return { kind: this.connected ? "connected" : "lost", silentMs: this.silentMs, ageMs: this.ageMs };
+    }
+    entities() {
+        return this.there;
+    }
+    label(id) {
+        return id;
+    }
+}
+test("WhileTheServerIsSilentWhatIsShownIsOfWhenItWasLastHeard", async () => {
+    const { entities, follow } = await load("state/entities.ts");
+    const time = heldTime(1_000_000);
+    try {
+        const client = new ToldClient();
+        const end = follow(client);
+        const told = (name, state = "IDLE") => client.tell.entity({ presence: "joined", entity: { id: name, name, state, latched: false, reason: "", xMm: 0, yMm: 0, zMm: 0 }, connectionLost: false });
+        const shown = (name) => [entities.value.get(name)?.fresh, entities.value.get(name)?.seenAt];
+        told("a");
+        time.advance(50);
+        assert.deepEqual(shown("a"), [true, 1_000_000]);
+        time.advance(5000);
+        client.silentMs = 700;
+        client.tell.connection({ silent: true });
+        time.advance(50);
+        assert.deepEqual(shown("a"), [false, 1_004_350]);
+        // However long: it is not forgotten as one that has not come back.
+        client.silentMs += 20_000;
+        time.advance(20_000);
+        assert.deepEqual(shown("a"), [false, 1_004_350]);
+        client.silentMs = 0;
+        client.tell.connection({ silent: false });
+        time.advance(50);
+        assert.deepEqual(shown("a"), [true, 1_000_000]);
+        // A connection that is lost after a silence: of when the server was last heard, too.
+        client.silentMs = 1000;
+        client.connected = false;
+        client.tell.entity({ presence: "left", entity: { id: "a", name: "a", xMm: 0, yMm: 0, zMm: 0 }, connectionLost: true });
+        time.advance(50);
+        assert.deepEqual(shown("a"), [false, 1_024_150]);
+        end();
+    } finally {
+        time.end();
+    }
 });
 test("AListThatChangesBeginsAndEndsOnlyTheDifference", () => {
     const heard = [];
