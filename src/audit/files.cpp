@@ -144,13 +144,15 @@ bool Files::findEnd() {
             return false;
         }
         auto text = tailOf(fd.get(), static_cast<std::uint64_t>(facts.st_size));
+        bool more = !text.empty();
         const bool unfinished = !text.empty() && text.back() != '\n';
         if (!text.empty() && !unfinished) text.pop_back();
-        while (!text.empty()) {
+        while (more) {
             const auto at = text.rfind('\n');
             const auto line = at == std::string::npos ? text : text.substr(at + 1);
+            more = at != std::string::npos;
             if (!ended) {
-                hash_ = hashOf(line);
+                hash_ = hashOf(std::string_view(line).substr(0, kLineMax + 1));  // as the reader
                 if (unfinished) {
                     if (!readLine(line)) unfinished_ = line.size();
                     if (file == files.rbegin()) rest_ = "\n";
@@ -162,7 +164,7 @@ bool Files::findEnd() {
                 file_ = files.rbegin()->first;
                 return true;
             }
-            text.resize(at == std::string::npos ? 0 : at);
+            if (more) text.resize(at);
         }
     }
     if (!files.empty()) file_ = files.rbegin()->first;

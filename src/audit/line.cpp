@@ -73,7 +73,8 @@ std::optional<Record> readLine(std::string_view line) {
     };
     bool texts = word("at", record.at) && word("kind", record.kind) && word("before", record.before);
     for (const auto& [key, text] : kTexts) texts = texts && word(key, record.*text);
-    if (!texts || record.number == 0 || record.at.empty() || record.kind.empty() || !isHash(record.before))
+    if (!texts || record.number == 0 || record.number > kNumberMax || record.at.empty() ||
+        record.kind.empty() || !isHash(record.before))
         return std::nullopt;
     return record;
 }

@@ -19,7 +19,8 @@ struct Record {
     bool operator==(const Record&) const = default;
 };
 
-inline constexpr std::size_t kLineMax = 16'384;  ///< bytes; a longer line is no record
+inline constexpr std::size_t kLineMax = 16'384;           ///< bytes; a longer line is no record
+inline constexpr std::uint64_t kNumberMax = 1ULL << 53U;  ///< what every reader of JSON has exactly
 inline const std::string kNoHash(64, '0');
 
 /// SHA-256 of the line without its line end, in 64 hexadecimal digits: what sha256sum prints. Pure.

@@ -72,6 +72,7 @@ TEST(AuditLine, WhatIsNoRecordIsRefused) {
     for (const auto& text :
          {std::string("{}"), std::string("[]"), std::string("null"), std::string("\0", 1),
           std::string(R"({"n":1,"at":"t","kind":"stop"})"), R"({"n":0,"at":"t","kind":"stop",)" + hash,
+          R"({"n":18446744073709551615,"at":"t","kind":"stop",)" + hash,
           R"({"n":-1,"at":"t","kind":"stop",)" + hash, R"({"n":1.5,"at":"t","kind":"stop",)" + hash,
           R"({"n":"1","at":"t","kind":"stop",)" + hash, R"({"n":1,"at":3,"kind":"stop",)" + hash,
           R"({"n":1,"at":"t","kind":"",)" + hash, R"({"n":1,"at":"t","kind":"stop","user":[],)" + hash,

@@ -38,19 +38,37 @@ void ChainReader::line(std::string_view text) {
     if (record) {
         const auto skipped = std::exchange(torn_lines_, 0);
         check(*record, skipped);
-        torn_.clear();
         ++chain_.records;
         if (chain_.first == 0) chain_.first = record->number;
         chain_.last = record->number;
         chain_.last_at = record->at;
     } else {
         ++torn_lines_;
-        if (torn_.size() < Chain::kFaults) torn_.push_back(here_);
+        if (torn_.size() < Chain::kFaults) torn_.push_back({here_, beginsARecord(text)});
     }
     chain_.hash = hashOf(text);
     if (!kept_.empty() && chain_.hash == kept_) chain_.kept_found = true;
     last_ = here_;
     if (record && each_) each_(*record);
+}
+
+/// As far as it goes.
+bool ChainReader::beginsARecord(std::string_view text) const {
+    const auto begin =
+        chain_.records == 0 ? std::string("{\"n\":") : "{\"n\":" + std::to_string(chain_.last + 1) + ',';
+    return text.substr(0, begin.size()) == std::string_view(begin).substr(0, text.size());
+}
+
+/// What becomes of the lines before that are no records.
+void ChainReader::endTorn(std::uint64_t lines, bool covered) {
+    for (const auto& [place, begins_a_record] : torn_) {
+        if (covered && begins_a_record)
+            chain_.unfinished.push_back(place.file + ':' + std::to_string(place.line));
+        else
+            add(place, "is no record: it was changed or damaged");
+    }
+    chain_.faulty += lines - torn_.size();
+    torn_.clear();
 }
 
 /// Before it becomes the last one. `skipped`: lines before it that are no records.
@@ -59,13 +77,9 @@ void ChainReader::check(const Record& record, std::uint64_t skipped) {
     const auto expected = chain_.last + 1;
     const bool covers = chain_.hash.empty() || record.before == chain_.hash;
     if (skipped > 0) {
-        if (covers && record.kind == "started" && (first || record.number == expected)) {
-            for (const auto& place : torn_)
-                chain_.unfinished.push_back(place.file + ':' + std::to_string(place.line));
-            return;
-        }
-        for (const auto& place : torn_) add(place, "is no record: it was changed or damaged");
-        chain_.faulty += skipped - torn_.size();
+        const bool goes_on = covers && record.kind == "started" && (first || record.number == expected);
+        endTorn(skipped, goes_on);
+        if (goes_on) return;
         if (!first && record.number > expected + skipped)
             add(here_, "is record " + std::to_string(record.number) + ", but record " +
                            std::to_string(expected) + " was expected: records before it are missing");
@@ -90,17 +104,7 @@ void ChainReader::check(const Record& record, std::uint64_t skipped) {
 }
 
 Chain ChainReader::end() {
-    for (const auto& place : torn_)
-        chain_.unfinished.push_back(place.file + ':' + std::to_string(place.line));
-    if (torn_lines_ > 1) {
-        // A kill leaves one such line, and each further life that is killed at once one more; but then a
-        // trail ends with them. Who damages several lines at the end looks like that, too.
-        chain_.unfinished.clear();
-        for (const auto& place : torn_) add(place, "is no record: it was changed or damaged");
-        chain_.faulty += torn_lines_ - torn_.size();
-    }
-    torn_.clear();
-    torn_lines_ = 0;
+    endTorn(std::exchange(torn_lines_, 0), true);
     return std::exchange(chain_, {});
 }
 

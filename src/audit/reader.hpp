@@ -42,8 +42,9 @@ struct Chain {
 
 /// Verifies one trail, line by line. Pure. Bounded: one line, and what Chain says.
 ///
-/// A line that is no record is unfinished, and no fault, where it is the last one or where a record of kind
-/// "started" follows that covers it by its hash: that is what a new life of the program writes.
+/// A line that is the beginning of the next record, and no more, is unfinished, and no fault, where nothing
+/// follows it or a record of kind "started" that covers it by its hash: that is what a new life of the
+/// program writes.
 class ChainReader {
   public:
     /// `each` gets every record that can be read, also of a trail with faults.
@@ -68,13 +69,19 @@ class ChainReader {
         std::uint64_t line = 0;
     };
     void add(const Place& place, std::string text);
+    bool beginsARecord(std::string_view text) const;
     void check(const Record& record, std::uint64_t skipped);
+    void endTorn(std::uint64_t lines, bool covered);
 
     const Each each_;
     const std::string kept_;
     Chain chain_;
-    Place here_, last_;             // last_: of the last line
-    std::vector<Place> torn_;       // lines that are no records, since the last record; at most kFaults
+    Place here_, last_;  // last_: of the last line
+    struct Torn {
+        Place place;
+        bool begins_a_record = false;
+    };
+    std::vector<Torn> torn_;        // lines that are no records, since the last record; at most kFaults
     std::uint64_t torn_lines_ = 0;  // how many
 };
 

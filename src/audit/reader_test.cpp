@@ -149,6 +149,20 @@ TEST_F(AuditReader, ALineThatIsCutOffAtTheEndIsUnfinishedAndNoFault) {
     EXPECT_FALSE(folder.chain().whole());
 }
 
+TEST_F(AuditReader, TwoLivesThatAreKilledAtOnceLeaveTwoUnfinishedLines) {
+    const auto text = folder.text("server.3.jsonl");
+    folder.write("server.3.jsonl", text + "{\"n\":11,\"at\n{\"n\":1");
+    EXPECT_TRUE(folder.chain().whole());
+    EXPECT_EQ(folder.chain().unfinished.size(), 2U);
+    Files files(folder.path, "server", {900, 8});
+    Record record;
+    record.at = utcTime(0);
+    record.kind = "started";
+    ASSERT_TRUE(files.append(record));
+    EXPECT_TRUE(folder.chain().whole());
+    EXPECT_EQ(folder.chain().unfinished.size(), 2U);
+}
+
 TEST_F(AuditReader, SeveralDamagedLinesAtTheEndAreAFault) {
     folder.write("server.3.jsonl", folder.text("server.3.jsonl") + "x\ny\n");
     EXPECT_EQ(folder.chain().faulty, 2U);
