@@ -81,7 +81,7 @@ if(AXON_ICE)
     COMPONENT libaxon-client-dev FILES_MATCHING PATTERN "*.ice" PATTERN "*.proto")
 
   # Tests of clients: the servers and Entity Managers as a library.
-  set(testing_parts axon_back_end axon_console axon_console_core axon_entity_manager axon_entity_manager_core axon_entity_server
+  set(testing_parts axon_audit axon_back_end axon_console axon_console_core axon_entity_manager axon_entity_manager_core axon_entity_server
     axon_entity_server_core
     axon_front_end_server axon_front_end_server_core axon_global_services axon_server axon_users)
   add_dependencies(installed_programs axon_testing_client)

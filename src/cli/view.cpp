@@ -208,6 +208,8 @@ void PersonView::show(const Json& event) {
     if (kind == "finding") return showFinding(event);
     if (kind == "certificates") return showCertificates(event.at("certificates"));
     if (kind == "issued") return showIssued(event);
+    if (kind == "audit_record") return showAuditRecord(event);
+    if (kind == "audit_trail") return showAuditTrail(event);
     if (kind == "agent") return showAgent(event);
     if (kind == "error") return showError(event);
     if (kind == "global_services") return showGlobalServices(event);
@@ -479,6 +481,31 @@ void PersonView::showCertificates(const Json& list) {
     auto text = table.text(terminal_.colour);
     text.pop_back();
     say(text);
+}
+
+void PersonView::showAuditRecord(const Json& record) {
+    auto who = textOf(record, "user");
+    for (const auto* other : {"name", "client", "peer"})
+        if (const auto text = textOf(record, other); !text.empty() && text != who)
+            who += (who.empty() ? "" : ", ") + text;
+    const auto kind = textOf(record, "kind");
+    const bool grave = kind == "stop" || kind == "refusal" || kind == "take-over" || kind == "lost";
+    const auto outcome = textOf(record, "outcome");
+    const auto entity = textOf(record, "entity");
+    say(paint(textOf(record, "at"), Tint::Dim) + "  " + paint(kind, grave ? Tint::Yellow : Tint::Bold) +
+        "  " + textOf(record, "what") + (outcome.empty() || outcome == "OK" ? "" : "  " + outcome) +
+        (who.empty() ? "" : "  by " + who) + (entity.empty() ? "" : "  at " + entity));
+}
+
+void PersonView::showAuditTrail(const Json& trail) {
+    const auto hash = textOf(trail, "hash");
+    say((trail.value("whole", false) ? paint("✓", Tint::Green) : paint("✗", Tint::Red)) + " " +
+        textOf(trail, "trail") + ": " +
+        fmt::format("{} records, {} to {}, the last of {}", trail.value("records", 0ULL),
+                    trail.value("first", 0ULL), trail.value("last", 0ULL), textOf(trail, "last_at")));
+    for (const auto& place : trail.at("unfinished"))
+        say("  unfinished, by a kill or a loss of power: " + valueText(place));
+    if (!hash.empty()) say(paint("  hash of the last line, to keep elsewhere: " + hash, Tint::Dim));
 }
 
 void PersonView::showIssued(const Json& event) {

@@ -46,7 +46,10 @@ const std::set<std::string> kKeys{kRouter,
                                   "Axon.LinkWatchdogBusyMs",
                                   "Axon.LinkWatchdogIdleMs",
                                   "Axon.AnswerWithinMs",
-                                  "Axon.ResourceBytesMax"};
+                                  "Axon.ResourceBytesMax",
+                                  "Axon.Audit.Folder",
+                                  "Axon.Audit.Size",
+                                  "Axon.Audit.Files"};
 
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
     const char* state = std::getenv("XDG_STATE_HOME");
@@ -295,6 +298,11 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
                                  std::string(transport::kLogLevels) + ", not '" + options.log_level + "'");
     options.state_folder =
         chosen(state, "Axon.State", defaultStateFolder(options.core.application, options.back_end.instance));
+    if (const auto folder = chosen("", "Axon.Audit.Folder", ""); !folder.empty())
+        options.audit.folder = options.state_folder / folder;  // or the folder itself, if it is absolute
+    options.audit.files.bytes =
+        static_cast<std::uint64_t>(integer("Axon.Audit.Size", "16777216", 4096, std::int64_t{1} << 40U));
+    options.audit.files.files = static_cast<int>(integer("Axon.Audit.Files", "8", 1, 10'000));
     return options;
 }
 

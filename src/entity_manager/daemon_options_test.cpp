@@ -89,6 +89,16 @@ TEST_F(DaemonOptionsTest, DatagramsTakeAnAddressAPortOrBoth) {
             << wrong;
 }
 
+TEST_F(DaemonOptionsTest, TheAuditIsOffUntilAFolderIsNamedWhichMayBeInTheStateFolder) {
+    EXPECT_TRUE(read("").audit.folder.empty());
+    const auto its = read("Axon.State=/var/lib/axon/cart\nAxon.Audit.Folder=audit\nAxon.Audit.Files=2");
+    EXPECT_EQ(its.audit.folder, "/var/lib/axon/cart/audit");
+    EXPECT_EQ(its.audit.files.files, 2);
+    EXPECT_EQ(read("Axon.Audit.Folder=/var/log/axon").audit.folder, "/var/log/axon");
+    EXPECT_THAT(refusal("Axon.Audit.Size=1"),
+                HasSubstr("Axon.Audit.Size: expected a whole number from 4096"));
+}
+
 TEST_F(DaemonOptionsTest, TheBoundOfAnUploadIsAProperty) {
     EXPECT_EQ(read("").core.resource_bytes_max, 1ULL << 30U);
     EXPECT_EQ(read("Axon.ResourceBytesMax=8589934592").core.resource_bytes_max, 8ULL << 30U);

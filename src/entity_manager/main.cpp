@@ -7,10 +7,13 @@
 #include <future>
 #include <iostream>
 
+#include "audit/trail.hpp"
+#include "common/release.hpp"
 #include "common/shared_clock.hpp"
 #include "entity_manager/daemon_options.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
+#include "entity_manager/storage/audited_journal.hpp"
 #include "entity_manager/storage/file_journal.hpp"
 #include "entity_manager/storage/file_resources.hpp"
 #include "entity_manager/storage/file_storage.hpp"
@@ -44,6 +47,13 @@ int main(int argc, char** argv) {
         FileStorage storage(options.state_folder, urgent);
         FileResourceStore resources(options.state_folder, options.core.resource_bytes_max);
         FileJournal journal(options.state_folder, urgent);
+        std::unique_ptr<audit::Trail> trail;
+        if (!options.audit.folder.empty())
+            trail = std::make_unique<audit::Trail>(options.audit, options.trailName(),
+                                                   std::string("axon-entity-manager ") + kRelease,
+                                                   [](const std::string& line) { spdlog::warn("{}", line); });
+        AuditedJournal audited(journal, audit::orNone(trail.get()),
+                               storage.load(kUuidKey).value_or(std::string()));
         asio::thread_pool executor(1);
         // It beats for the robot application, whose watchdog is the shortest: not behind what else wants the
         // processor.
@@ -53,7 +63,8 @@ int main(int argc, char** argv) {
             transport::routerProxy(*ice->data(), options.server.router);  // or a fix
         const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,
                                                    EntityManager::overTcp(options.back_end, random), clock,
-                                                   random, storage, resources, &journal);
+                                                   random, storage, resources, &audited);
+        audited.setEntity(manager->uuid());
         for (const auto& finding : journal.findings()) spdlog::warn("{}", finding);
 
         interrupts.setCallback([&](int) {

@@ -23,7 +23,8 @@ struct EntityServer::Parts {
               [this] { rim.wake(); },
               [this] {
                   if (auto* thread = publisher_ready.load()) thread->wake();
-              }),
+              },
+              settings.audit),
           rim(core, topic, settings, data, signal, clock) {
         publisher = std::make_unique<transport::TimerThread>("axon-publisher", Lane::Data, Duration{}, clock,
                                                              [this, &clock] {

@@ -27,6 +27,8 @@ struct EntityServerSettings {
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10413";
     /// Who may come in. Outlives the communicators. Null: anybody.
     transport::Logins* logins = nullptr;
+    /// Where it is recorded what happens to entities. Outlives end(). Null: nowhere.
+    audit::AuditTrail* audit = nullptr;
     /// Where Glacier2 routers ask for passwords and sessions (EntityServerRouter); empty: none may.
     std::string router_endpoint = {};
     /// Of this server, where there are several; letters, digits, '-', '_' and '.'.

@@ -48,7 +48,8 @@ void loseClient(EntityOutbox& signal, const EntityStatus& status, TimePoint now)
 
 EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Clock& clock,
                                    RandomSource& random, FrontEndTopic& topic, Note note,
-                                   std::function<void()> wake, std::function<void()> pending)
+                                   std::function<void()> wake, std::function<void()> pending,
+                                   audit::AuditTrail* trail)
     : settings_(settings),
       clock_(clock),
       random_(random),
@@ -56,6 +57,7 @@ EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Cloc
       note_(std::move(note)),
       wake_(std::move(wake)),
       pending_(std::move(pending)),
+      audit_(trail),
       others_(settings.name, random, note_, [this](Lane lane) { announce(lane); }),
       front_ends_(others_.add({.name = "front-end server",
                                .timeouts = settings.front_ends,
@@ -114,6 +116,8 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
     if (auto checked = checkRegistration(registration, profile.size(), settings_.profile_bytes_max);
         !checked.ok())
         return checked;
+    bool joined = false;
+    RecordRef record_now;
     {
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
@@ -168,7 +172,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                                       settings_.heartbeats_missed * idle_period, now);
         session->liveness.setBusy(busy, now);
         if (!session->registered) {
-            session->registered = true;
+            session->registered = joined = true;
             others_.announceSoon();
             registered_.emplace(session->entity, session);
             drills_.join(session->drill);
@@ -177,7 +181,9 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         }
         due_.schedule(session, std::min(session->nextHeartbeat(), now + session->period()));
         publisher_.set(session->record);  // last: from now on others may be told that it is here
+        record_now = session->record;
     }
+    if (joined) audit_.joined(record_now->registration);
     wake_();
     publishPending();
     return {};
@@ -193,12 +199,14 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
     std::int64_t heartbeat = 0;
     std::string line;
     EntityStatus given;
+    RecordRef record_before, record_now;
     {
         const std::lock_guard lock(mutex_);
         if (session->gone) return;
         const auto now = clock_.now();
         const bool busy = status.state == EntityState::BUSY;
-        const auto& before = session->record->status;
+        record_before = session->record;
+        const auto& before = record_before->status;
         line = session->holder_log.line(*session->name.load(), before, status, now);
         if (before.holder.id != status.holder.id)
             session->holder.store(std::make_shared<const std::string>(status.holder.id));
@@ -217,6 +225,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         record->heard = true;
         session->record = std::move(record);
         publisher_.set(session->record);
+        record_now = session->record;
         // The EM's own watchdog is short from now on.
         if (became_busy) heartbeat = session->extraHeartbeat();
         if (became_busy || became_idle) {
@@ -229,8 +238,10 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         wake_();
     }
     if (late) loseClient(*session->signal, given, clock_.now());
+    if (late && !given.holder.id.empty()) audit_.stoppedForLostClient(given);
     publishPending();
     if (!line.empty()) note_(line);
+    audit_.holder(record_now->registration.name, record_before->status, record_now->status);
 }
 
 void EntityServerCore::refuseOnSignalLane(const SessionRef& session, const char* msg_type) {
@@ -330,6 +341,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     if (session->signal) session->signal->disconnect(orderly, why);
     if (session->registered) {
         pending_();
+        audit_.left(session->entity, *session->name.load(), why);
         note_(*session->name.load() + " left: " + why +
               (lines_left_out > 0
                    ? " (" + std::to_string(lines_left_out) + " changes of its holder are not in the log)"
@@ -414,6 +426,7 @@ void EntityServerCore::frontEndsLost(const std::vector<std::string>& names) {
     std::stable_partition(left_behind.begin(), left_behind.end(),
                           [](const auto& one) { return one.second.state == EntityState::BUSY; });
     for (const auto& [session, status] : left_behind) loseClient(*session->signal, status, clock_.now());
+    for (const auto& [session, status] : left_behind) audit_.stoppedForLostClient(status);
     for (const auto& name : names) {
         note_("front-end server " + name + " is gone; its clients held " +
               std::to_string(left_behind.size()) + (left_behind.size() == 1 ? " entity" : " entities") +
@@ -453,6 +466,8 @@ void EntityServerCore::clientUpdate(const Header& head, ClientChange change) {
 
 void EntityServerCore::stopSignal(const Header& head, StopCause cause) {
     toEntities(head, [&](EntityOutbox& entity) { return entity.stopSignal(head, cause); });
+    // What the only front-end server passes on, it has recorded beside this one.
+    if (!alone()) audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, 0);
 }
 
 // All that are there first: no entity's stop waits for the refusals of those that are not.
@@ -473,14 +488,17 @@ void EntityServerCore::stopSignals(const Header& head, const std::vector<std::st
         refused.entity = entity->substr(0, 64);
         undelivered_.unknown(Lane::Signal, refused);
     }
+    if (!alone()) audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, entities.size());
 }
 
 void EntityServerCore::resetSignal(const Header& head) {
     toEntities(head, [&](EntityOutbox& entity) { return entity.resetSignal(head); });
+    if (!alone()) audit_.signal("reset", head, 0);
 }
 
 void EntityServerCore::clearSignal(const Header& head) {
     toEntities(head, [&](EntityOutbox& entity) { return entity.clearSignal(head); });
+    if (!alone()) audit_.signal("clear", head, 0);
 }
 
 TimePoint EntityServerCore::onTimer() {

@@ -22,6 +22,7 @@
 #include "entity_server/routing/entities_elsewhere.hpp"
 #include "entity_server/routing/undelivered.hpp"
 #include "entity_server/sessions/due_sessions.hpp"
+#include "entity_server/sessions/entity_audit.hpp"
 #include "entity_server/sessions/session.hpp"
 
 namespace axon::entity_server {
@@ -78,10 +79,11 @@ class EntityServerCore {
     using Note = std::function<void(const std::string& line)>;
 
     /// `note` gets a line for people; `wake` is called when onTimer() is due earlier than it said, `pending`
-    /// when publishPending() is to be called, by a thread that is not the signal lane's.
+    /// when publishPending() is to be called, by a thread that is not the signal lane's. `trail`: null where
+    /// nothing is recorded.
     EntityServerCore(EntityServerCoreSettings settings, const Clock& clock, RandomSource& random,
                      FrontEndTopic& topic, Note note, std::function<void()> wake,
-                     std::function<void()> pending);
+                     std::function<void()> pending, audit::AuditTrail* trail = nullptr);
     ~EntityServerCore();
 
     // From an Entity Manager. `session` is never null.
@@ -158,6 +160,7 @@ class EntityServerCore {
     const Note note_;
     const std::function<void()> wake_;
     const std::function<void()> pending_;
+    const EntityAudit audit_;
 
     OtherServers others_;
     OtherServers::Group& front_ends_;

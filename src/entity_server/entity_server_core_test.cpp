@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "support/recorded_audit.hpp"
+
 // Counted, so that the cost of a join is known without a clock.
 static std::atomic<std::size_t> allocations{0};
 void* operator new(std::size_t size) {
@@ -205,6 +207,7 @@ class EntityServerTest : public testing::Test {
     bool publish_at_once = true;
     EntityServerCoreSettings settings;
     explicit EntityServerTest(EntityServerCoreSettings its = {}) : settings(std::move(its)) {}
+    test::RecordedAudit trail;
     EntityServerCore core{settings,
                           clock,
                           random,
@@ -214,7 +217,8 @@ class EntityServerTest : public testing::Test {
                           [this] {
                               ++pending;
                               if (publish_at_once) core.publishPending();
-                          }};
+                          },
+                          &trail};
 };
 
 TEST_F(EntityServerTest, AnEntityWithoutAProfileIsPublishedAndCanBeStoppedAndJoinsWhenItHasOne) {
@@ -233,6 +237,24 @@ TEST_F(EntityServerTest, AnEntityWithoutAProfileIsPublishedAndCanBeStoppedAndJoi
     const auto other = join(kSecond);
     core.sendToPeer(peer.session, Lane::Data, toPeer(kSecond), "hello");
     EXPECT_THAT(other.data->lines, Contains("msg Robot hello"));
+}
+
+TEST_F(EntityServerTest, WhoComesGoesAndHoldsIsRecordedOnce) {
+    const auto peer = join(kFirst);
+    status(peer, EntityState::IDLE);
+    EntityStatus held;
+    held.state = EntityState::REG;
+    held.holder = {"c1", "ann", Role::Operator};
+    core.sendStatus(peer.session, held);
+    core.sendStatus(peer.session, held);
+    // The front-end server beside it records this.
+    core.stopSignal({}, StopCause::Requested);
+    core.leave(peer.session, true, "over");
+    core.leave(peer.session, true, "over again");
+    const std::string id = kFirst;
+    EXPECT_THAT(trail.notes(), ElementsAre("session|Robot||" + id + "|entity joined|OK",
+                                           "ownership|ann|c1|" + id + "|Robot is checked out|",
+                                           "session|Robot||" + id + "|entity left: over|"));
 }
 
 TEST_F(EntityServerTest, PublishesJoiningChangingAndLeaving) {

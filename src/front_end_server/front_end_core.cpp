@@ -31,7 +31,7 @@ void refuseUnknown(ClientOutbox& to, const Header& head) {
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
                            EntityTopic& topic, Note note, std::function<void()> wake,
-                           GlobalServicesPort* global_services)
+                           GlobalServicesPort* global_services, audit::AuditTrail* trail)
     : settings_(settings),
       clock_(clock),
       random_(random),
@@ -40,7 +40,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       wake_(std::move(wake)),
       global_services_(global_services),
       settlement_(clock, topic),
-      log_(clock, note_),
+      log_(clock, note_, trail),
       others_(settings.name, random, note_,
               [this](Lane lane) { topic_.frontEndServerUpdate(lane, others_.self()); }),
       entity_servers_(others_.add({.name = "entity server",
@@ -101,6 +101,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
     }
     wake_();
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
+    log_.joined(client->me, user);
     client->told = pushAll(*client->data);
     return client;
 }
@@ -222,15 +223,20 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
     if (flooded(client)) return;
     head.sender = client->me;
     const auto server = alone() ? nullptr : entities_.serverOf(head.entity, Lane::Data);
-    if (!alone() && !server) return refuseUnknown(*client->data, head);
+    if (!alone() && !server) {
+        refuseUnknown(*client->data, head);
+        return log_.refused(head, unknownEntity(head.entity));
+    }
     if (const auto may = mayGoOn(*client, head, message.size()); !may.ok()) {
         client->data->newRefusalMsg(head, may.refusal());
+        log_.refused(head, may.refusal());
         return log_.excess(client->me, may.refusal());
     }
     if (const auto sent = topic_.clientMsg(server ? *server : std::string(), head, message); !sent.ok()) {
         client->data->newRefusalMsg(head, sent.refusal());
-        return;
+        return log_.refused(head, sent.refusal());
     }
+    log_.command(head);
     if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, entities_.known());
 }
 
@@ -328,10 +334,9 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
         if (!held.contains(entity)) settlement_.tellGone(client->me, entity, ending);
     client->data->disconnect(ending == Ending::Ended, why);
     if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
-    const char* how = ending == Ending::Ended  ? " left"
-                      : ending == Ending::Lost ? " is lost"
-                                               : " was dropped";
-    note_("client " + client->me.name + how + ": " + why +
+    const char* how = ending == Ending::Ended ? "left" : ending == Ending::Lost ? "is lost" : "was dropped";
+    log_.left(client->me, how, why);
+    note_("client " + client->me.name + " " + how + ": " + why +
           (held.empty()
                ? ""
                : "; it held " + std::to_string(held.size()) + (held.size() == 1 ? " entity" : " entities")));
@@ -438,6 +443,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     const bool busy = status.state == EntityState::BUSY;
     std::optional<GoneClients::Gone> late;
     std::string entity, doubted;
+    bool passed = false;  // to another holder, or to none
     {
         const std::lock_guard lock(mutex_);
         const auto record_before = entities_.update(status, number, via);
@@ -445,7 +451,8 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         entity = status.entity;
         const auto& before = record_before->status.holder.id;
         const auto& holder = status.holder.id;
-        if (before != holder) letGo(before, entity);
+        passed = before != holder;
+        if (passed) letGo(before, entity);
         if (!holder.empty()) {
             if (const auto client = clients_.find(holder)) {
                 // An entity that names a client which never asked for it is told of its end like any other,
@@ -463,6 +470,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         }
     }
     if (!doubted.empty()) log_.unaskedHolder(entity, doubted);
+    if (passed && !alone()) log_.holder(status);  // the entity server beside the only one records it
     if (late && !AXON_PLANTED(LateGrantLeft))
         settlement_.settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
@@ -498,6 +506,7 @@ void FrontEndCore::entityMsgDataSeq(const Header& head, std::string_view data) {
 void FrontEndCore::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
     if (head.sender.id.empty()) return;
     toClients(lane, head.sender.id, [&](ClientOutbox& client) { client.newRefusalMsg(head, refusal); });
+    log_.refused(head, refusal);
 }
 
 TimePoint FrontEndCore::onTimer() {

@@ -59,9 +59,10 @@ class FrontEndCore {
     using ClientRef = front_end_server::ClientRef;
     using Note = std::function<void(const std::string& line)>;
 
-    /// `global_services`: null where there are none.
+    /// `global_services`, `trail`: null where there are none.
     FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
-                 Note note, std::function<void()> wake, GlobalServicesPort* global_services = nullptr);
+                 Note note, std::function<void()> wake, GlobalServicesPort* global_services = nullptr,
+                 audit::AuditTrail* trail = nullptr);
     ~FrontEndCore();
 
     // From a client.

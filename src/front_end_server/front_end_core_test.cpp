@@ -12,6 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "support/recorded_audit.hpp"
+
 // Counted, so that the cost of a join is known without a clock.
 static std::atomic<std::size_t> allocations{0};
 void* operator new(std::size_t size) {
@@ -184,8 +186,10 @@ class FrontEndTest : public testing::Test {
     std::vector<std::string> notes;
     std::map<std::string, FrontEndCore::ClientRef> here;
     FrontEndCoreSettings settings;
+    test::RecordedAudit trail;
     FrontEndCore core{
-        settings, clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
+        settings, clock,   random, topic, [this](const std::string& line) { notes.push_back(line); },
+        [] {},    nullptr, &trail};
 };
 
 TEST_F(FrontEndTest, TellsAClientWhoIsThereAndWhatChanges) {
@@ -375,6 +379,22 @@ TEST_F(FrontEndTest, TheSenderIsTheSessionsNeverThePeers) {
     core.sendToEntity(peer.client, to("e1"), "hello");
     core.sendStopSignal(peer.client, to("e1"), StopCause::ClientLost);
     EXPECT_THAT(topic.take(), ElementsAre("client1 to e1 hello", "stop (requested) by client1 to e1"));
+}
+
+TEST_F(FrontEndTest, WhatAClientDoesAndWhatIsRefusedIsRecorded) {
+    entity("e1");
+    const auto peer = join("client1");
+    ask(peer.client, "e1");
+    EXPECT_EQ(trail.last(), "command|client1|" + peer.id() + "|e1|CHECKOUT|OK");
+    core.sendStopSignal(peer.client, to("e1"), StopCause::Requested);
+    EXPECT_EQ(trail.last(), "stop|client1|" + peer.id() + "|e1|stop|OK");
+    auto head = to("e1");
+    head.sender = FrontEndCore::me(*peer.client);
+    core.entityRefusal(Lane::Data, head, {RefusalCode::NotHolder, "no", {}});
+    EXPECT_THAT(trail.last(), HasSubstr("|e1|: no|NOT_HOLDER"));
+    core.leave(peer.client, Ending::Lost, "it is silent");
+    EXPECT_EQ(trail.last(), "session|client1|" + peer.id() + "||is lost: it is silent|");
+    EXPECT_EQ(trail.notes().front(), "session|client1|" + peer.id() + "||joined as operator|OK");
 }
 
 TEST_F(FrontEndTest, AcceptsAStopForAllWithoutALease) {

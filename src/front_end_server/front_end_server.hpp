@@ -31,6 +31,8 @@ struct FrontEndServerSettings {
     /// What clients are answered who ask for global services. Outlives the communicators. Null: there are
     /// none.
     GlobalServicesPort* global_services = nullptr;
+    /// Where it is recorded what clients do. Outlives end(). Null: nowhere.
+    audit::AuditTrail* audit = nullptr;
     /// Where Glacier2 routers ask for passwords and sessions (FrontEndServerRouter); empty: none may.
     std::string router_endpoint = {};
     /// Of this server, where there are several; letters, digits, '-', '_' and '.'.

@@ -24,6 +24,7 @@ constexpr std::size_t kWaitingOfOneMax = 256;
 constexpr std::size_t kUserShown = 64;
 constexpr std::size_t kLoginTextMax = 1024;  // of the user's name, and of the password
 constexpr const char* kBehindARouter = "somebody behind a router";
+constexpr const char* kVouched = "a router or the web console";  // it has seen the connection
 
 /// For logs and refusals.
 std::string cut(const std::string& name) {
@@ -32,8 +33,13 @@ std::string cut(const std::string& name) {
 
 }  // namespace
 
-LoginDesk::LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of)
-    : users_(std::move(users)), note_(std::move(note)), owner_of_(std::move(owner_of)), guard_(clock) {
+LoginDesk::LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of,
+                     audit::AuditTrail* trail)
+    : users_(std::move(users)),
+      note_(std::move(note)),
+      owner_of_(std::move(owner_of)),
+      trail_(audit::orNone(trail)),
+      guard_(clock) {
     if (sodium_init() < 0)
         throw std::runtime_error("libsodium cannot be used: the kernel gives no random bytes");
     randombytes_buf(key_.data(), key_.size());
@@ -71,13 +77,46 @@ std::optional<Refusal> LoginDesk::wrongCertificate(Door door,
                       "' at this port; fix: issue one with axon certs issue --" + expected + " NAME");
 }
 
+void LoginDesk::record(Door door, const std::string& user, const std::string& peer,
+                       const Result<LoggedIn>& who) const {
+    const std::string what = door == Door::Client ? "log-in of a client" : "log-in of an Entity Manager";
+    if (!who.ok()) {
+        const auto refused = what + ": " + who.refusal().message;
+        return trail_.note({.kind = audit::Kind::Refusal,
+                            .user = user,
+                            .peer = peer,
+                            .what = refused,
+                            .outcome = refusalName(who.refusal().code)});
+    }
+    const auto& its = who.value();
+    const auto admitted = door == Door::Client ? what + " as " + toString(its.role) : what;
+    trail_.note({.kind = audit::Kind::Login,
+                 .user = its.user.empty() ? user : its.user,
+                 .name = its.entity,
+                 .peer = peer,
+                 .what = admitted,
+                 .outcome = "OK"});
+}
+
+LoginDesk::Answer LoginDesk::recorded(Door door, const LoginRequest& request, Answer answer) const {
+    // Not the request itself, which has the password.
+    const auto user = request.user.empty() && request.certificate ? request.certificate->name : request.user;
+    return [this, door, user = cut(user), peer = request.peer,
+            answer = std::move(answer)](Result<LoggedIn> who) {
+        record(door, user, peer, who);
+        answer(std::move(who));
+    };
+}
+
 void LoginDesk::client(LoginRequest request, Answer answer) {
+    answer = recorded(Door::Client, request, std::move(answer));
     if (auto wrong = wrongCertificate(Door::Client, request.certificate, request.peer))
         return answer(std::move(*wrong));
     enqueue(Door::Client, std::move(request), std::move(answer));
 }
 
 void LoginDesk::entity(LoginRequest request, Answer answer) {
+    answer = recorded(Door::Entity, request, std::move(answer));
     if (auto wrong = wrongCertificate(Door::Entity, request.certificate, request.peer))
         return answer(std::move(*wrong));
     const auto name = request.certificate ? request.certificate->name : std::string();
@@ -216,17 +255,27 @@ Result<LoggedIn> LoginDesk::vouched(Door door, const std::string& user) const {
 
 Result<LoggedIn> LoginDesk::vouchedClient(const std::string& user,
                                           const std::optional<PeerCertificate>& certificate) {
-    if (auto wrong = wrongCertificate(Door::Client, certificate, kBehindARouter)) return std::move(*wrong);
     const auto& its = certificate ? certificate->name : user;
-    if (!users_ && certificate) return LoggedIn{its, Role::Operator, {}};
-    return vouched(Door::Client, its);
+    auto who = [&]() -> Result<LoggedIn> {
+        if (auto wrong = wrongCertificate(Door::Client, certificate, kBehindARouter))
+            return std::move(*wrong);
+        if (!users_ && certificate) return LoggedIn{its, Role::Operator, {}};
+        return vouched(Door::Client, its);
+    }();
+    record(Door::Client, cut(its), kVouched, who);
+    return who;
 }
 
 Result<LoggedIn> LoginDesk::vouchedEntity(const std::string& user,
                                           const std::optional<PeerCertificate>& certificate) {
-    if (auto wrong = wrongCertificate(Door::Entity, certificate, kBehindARouter)) return std::move(*wrong);
-    if (certificate) return LoggedIn{{}, Role::Operator, certificate->name};
-    return vouched(Door::Entity, user);
+    auto who = [&]() -> Result<LoggedIn> {
+        if (auto wrong = wrongCertificate(Door::Entity, certificate, kBehindARouter))
+            return std::move(*wrong);
+        if (certificate) return LoggedIn{{}, Role::Operator, certificate->name};
+        return vouched(Door::Entity, user);
+    }();
+    record(Door::Entity, cut(certificate ? certificate->name : user), kVouched, who);
+    return who;
 }
 
 bool LoginDesk::mayVouch(const std::string& peer, const std::string& local) {

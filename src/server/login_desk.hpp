@@ -10,6 +10,7 @@
 #include <string>
 #include <thread>
 
+#include "audit/note.hpp"
 #include "common/clock.hpp"
 #include "server/login_guard.hpp"
 #include "server/users.hpp"
@@ -40,9 +41,10 @@ class LoginDesk final : public transport::Logins {
     using OwnerOf =
         std::function<std::optional<std::uint32_t>(const std::string& peer, const std::string& local)>;
 
-    /// `note` gets the lines of the audit, on any thread; `owner_of` finds the uid of a connection's other
-    /// end.
-    LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of);
+    /// `note` gets lines for the log, on any thread; `owner_of` finds the uid of a connection's other end.
+    /// `trail` is told of each log-in and each refusal; null: nobody is.
+    LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of,
+              audit::AuditTrail* trail = nullptr);
     ~LoginDesk() override;
     LoginDesk(const LoginDesk&) = delete;
     LoginDesk& operator=(const LoginDesk&) = delete;
@@ -68,6 +70,9 @@ class LoginDesk final : public transport::Logins {
     };
     using Digest = std::array<unsigned char, 32>;
 
+    void record(Door door, const std::string& user, const std::string& peer,
+                const Result<transport::LoggedIn>& who) const;
+    Answer recorded(Door door, const transport::LoginRequest& request, Answer answer) const;
     void enqueue(Door door, transport::LoginRequest request, Answer answer);
     void run();
     Result<transport::LoggedIn> decide(const Job& job);
@@ -86,6 +91,7 @@ class LoginDesk final : public transport::Logins {
     const std::optional<Users> users_;
     const Note note_;
     const OwnerOf owner_of_;
+    audit::AuditTrail& trail_;
     Digest key_{};
     // Of its thread only.
     LoginGuard guard_;

@@ -9,6 +9,8 @@
 #include <future>
 #include <vector>
 
+#include "support/recorded_audit.hpp"
+
 namespace axon::server {
 namespace {
 
@@ -30,7 +32,7 @@ class LoginDeskTest : public testing::Test {
     LoginDesk& make(std::optional<Users> users) {
         desk.emplace(
             std::move(users), clock, [this](const std::string& line) { notes.push_back(line); },
-            [this](const std::string&, const std::string&) { return owner; });
+            [this](const std::string&, const std::string&) { return owner; }, &trail);
         return *desk;
     }
     Result<LoggedIn> client(const std::string& user, const std::string& password,
@@ -65,9 +67,33 @@ class LoginDeskTest : public testing::Test {
 
     ManualClock clock;
     std::optional<std::uint32_t> owner;
+    test::RecordedAudit trail;
     std::vector<std::string> notes;  // of the desk's thread, read after its answer
     std::optional<LoginDesk> desk;
 };
+
+TEST_F(LoginDeskTest, EachLogInAndEachRefusalIsRecordedAndNoPasswordIs) {
+    withUsers();
+    EXPECT_TRUE(client("client1", "secret1").ok());
+    EXPECT_EQ(trail.last(), "client1@10.0.0.1:50122|login||||log-in of a client as operator|OK");
+    EXPECT_FALSE(client("client1", "sesame").ok());
+    EXPECT_THAT(trail.last(), HasSubstr("client1@10.0.0.1:50122|refusal||||log-in of a client: wrong user"));
+    EXPECT_THAT(trail.last(), testing::EndsWith("|PERMISSION_DENIED"));
+    EXPECT_FALSE(client("client1", "secret1").ok()) << "too early";
+    EXPECT_THAT(trail.last(), HasSubstr("too many wrong passwords"));
+    EXPECT_FALSE(certified("client1", "entity").ok());
+    EXPECT_THAT(trail.last(), HasSubstr("client1@10.0.0.1:50122|refusal|"));
+    EXPECT_TRUE(entity("left", "secret1").ok());
+    EXPECT_EQ(trail.last(), "left@10.0.0.2:50122|login||||log-in of an Entity Manager|OK");
+    EXPECT_TRUE(certifiedEntity("Cart", "entity").ok());
+    EXPECT_EQ(trail.last(), "Cart@10.0.0.2:50122|login|Cart|||log-in of an Entity Manager|OK");
+    EXPECT_TRUE(desk->vouchedClient("boss").ok());
+    EXPECT_EQ(trail.last(), "boss@a router or the web console|login||||log-in of a client as admin|OK");
+    EXPECT_FALSE(desk->vouchedEntity("boss").ok());
+    EXPECT_THAT(trail.last(), HasSubstr("|refusal|"));
+    EXPECT_FALSE(trail.has("secret"));
+    EXPECT_FALSE(trail.has("sesame"));
+}
 
 TEST_F(LoginDeskTest, WhoARouterVouchesForHasTheRoleOfTheFileAtTheRightDoor) {
     withUsers();

@@ -234,6 +234,16 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          [&](const auto& where, const auto& text) {
              settings.entity.drill_period = std::chrono::seconds{number(where, text, 0, 86'400)};
          }},
+        {"Axon.Audit.Folder", [&](const auto&, const auto& text) { settings.audit.folder = text; }},
+        {"Axon.Audit.Size",
+         [&](const auto& where, const auto& text) {
+             settings.audit.files.bytes =
+                 static_cast<std::uint64_t>(number(where, text, 4096, std::int64_t{1} << 40U));
+         }},
+        {"Axon.Audit.Files",
+         [&](const auto& where, const auto& text) {
+             settings.audit.files.files = static_cast<int>(number(where, text, 1, 10'000));
+         }},
         {"FrontEndServerTopic.Endpoints", endpoint(settings.topic_endpoint)},
         {"FrontEndServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
         {"EntityServerTopic.Endpoints", endpoint(settings.topic_endpoint)},

@@ -195,6 +195,23 @@ TEST(ServerOptions, ReadsUsersAndDrillPeriodFromTheFile) {
     std::filesystem::remove_all(folder);
 }
 
+TEST(ServerOptions, TheAuditIsOffUntilAFolderIsNamed) {
+    std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    const auto file = folder + "/server.cfg";
+    EXPECT_TRUE(parse({}).options->settings.audit.folder.empty());
+    std::ofstream(file) << "Axon.Audit.Folder=/var/lib/a\nAxon.Audit.Size=4096\nAxon.Audit.Files=3\n";
+    const auto audit = parse({"--config", file}).options->settings.audit;
+    EXPECT_EQ(audit.folder, "/var/lib/a");
+    EXPECT_EQ(audit.files.bytes, 4096U);
+    EXPECT_EQ(audit.files.files, 3);
+    std::ofstream(file) << "Axon.Audit.Size=4095\n";
+    EXPECT_THAT(complaint({"--config", file}), HasSubstr("Axon.Audit.Size"));
+    std::ofstream(file) << "Axon.Audit.Files=0\n";
+    EXPECT_THAT(complaint({"--config", file}), HasSubstr("expected a number from 1 to 10000"));
+    std::filesystem::remove_all(folder);
+}
+
 TEST(ServerOptions, WatchdogsAreWhatAClientCanKeepUpWith) {
     std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
     const std::string folder = ::mkdtemp(name.data());

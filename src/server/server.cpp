@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "common/ids.hpp"
+#include "common/release.hpp"
 #include "common/shared_clock.hpp"
 #include "entity_server/entity_server.hpp"
 #include "front_end_server/front_end_server.hpp"
@@ -325,11 +326,25 @@ entity_server::EntityServerSettings entitySettings(const ServerSettings& setting
 
 }  // namespace
 
+namespace {
+
+std::unique_ptr<audit::Trail> trailOf(const ServerSettings& settings) {
+    if (settings.audit.folder.empty()) return nullptr;
+    const auto name = "axon-server" + (settings.name.empty() ? std::string() : "-" + settings.name);
+    return std::make_unique<audit::Trail>(settings.audit, name, name + " " + kRelease,
+                                          [](const std::string& line) { spdlog::warn("{}", line); });
+}
+
+}  // namespace
+
 class Server::Parts {
   public:
     explicit Parts(const ServerSettings& settings)
-        : logins(usersOf(settings), clock, note,
-                 [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); }),
+        : trail(trailOf(settings)),
+          logins(
+              usersOf(settings), clock, note,
+              [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); },
+              trail.get()),
           data(transport::makeCommunicator(communicatorSettings(settings, Lane::Data))),
           signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
           receipts(transport::makeCommunicator(receiptSettings(settings))) {
@@ -337,6 +352,7 @@ class Server::Parts {
         if (settings.role != ServerRole::FrontEnd) {
             auto its = entitySettings(settings);
             its.logins = &logins;
+            its.audit = trail.get();
             its.limits = &limits;
             its.here = both ? &clients_here : nullptr;
             its.topic_signals = signal.communicator();  // stops
@@ -345,6 +361,7 @@ class Server::Parts {
         if (settings.role != ServerRole::Entity) {
             auto its = frontEndSettings(settings);
             its.logins = &logins;
+            its.audit = trail.get();
             its.limits = &limits;
             if (!settings.global_services.empty()) {
                 services_folder.emplace(settings.global_services, clock, note);
@@ -453,6 +470,7 @@ class Server::Parts {
         if (front_end) front_end->publishTo(entity_servers);
     }
 
+    const std::unique_ptr<audit::Trail> trail;  // null: nothing is recorded. Outlives all that notes
     const std::shared_ptr<const Clock> time = clockFromEnvironment();
     const Clock& clock = *time;
     const SteadyClock steady{};  // of what peers cost, also where the laboratory's time stands

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "audit/trail.hpp"
 #include "entity_server/entity_server_core.hpp"
 #include "front_end_server/front_end_core.hpp"
 
@@ -60,6 +61,7 @@ struct ServerSettings {
     std::string users_file;       ///< users.cfg; empty: none, and loopback only
     std::string global_services;  ///< the folder of global services; empty: there are none
     ConsoleSettings console;
+    audit::TrailSettings audit;                         ///< no folder: nothing is recorded
     bool plain_tcp = false;                             ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted

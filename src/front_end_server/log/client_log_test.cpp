@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "support/recorded_audit.hpp"
+
 namespace axon::front_end_server {
 namespace {
 
@@ -52,6 +54,47 @@ TEST_F(ClientLogTest, WhatHappensOftenDoesNotFillTheLogAndHidesNothingOfAnotherK
 TEST_F(ClientLogTest, ARefusalThatIsNoExcessGetsNoLine) {
     log.excess(ann, {RefusalCode::PermissionDenied, "no", {}});
     EXPECT_THAT(lines, IsEmpty());
+}
+
+TEST_F(ClientLogTest, TheTrailGetsWhatTheLogLeavesOut) {
+    test::RecordedAudit trail;
+    const ClientLog its(
+        clock, [](const std::string&) {}, &trail);
+    its.joined(ann, "anna");
+    EXPECT_EQ(trail.last(), "anna@|session|ann|c1||joined as operator|OK");
+    its.audit("stop", ann, {"e1"}, 7);
+    EXPECT_EQ(trail.last(), "stop|ann|c1|e1|stop|OK");
+    its.audit("stop", ann, {""}, 7);
+    EXPECT_EQ(trail.last(), "stop|ann|c1||stop to all 7 entities|OK");
+    its.audit("rearm", ann, {"e1"}, 7);
+    EXPECT_EQ(trail.last(), "rearm|ann|c1|e1|rearm|OK");
+    its.audit("drill", ann, {"e1", "e2"}, 7);
+    EXPECT_EQ(trail.last(), "command|ann|c1||drill of 2 entities: e1, e2|OK");
+    Header head;
+    head.sender = ann;
+    head.entity = "e1";
+    for (const auto* type : {kMsgParam, kMsgText, kMsgRaw, kMsgResource, kMsgWatch, kMsgStatus}) {
+        head.msg_type = type;
+        its.command(head);
+    }
+    EXPECT_THAT(trail.notes(), SizeIs(5)) << "what orders nothing is recorded";
+    for (const auto* type : {kMsgCheckOut, kMsgRelease, kMsgHandOver, kMsgTask, kMsgTaskControl, kMsgRun}) {
+        head.msg_type = type;
+        its.command(head);
+        EXPECT_EQ(trail.last(), "command|ann|c1|e1|" + std::string(type) + "|OK");
+    }
+    its.refused(head, {RefusalCode::NotHolder, "bob holds it", {}});
+    EXPECT_EQ(trail.last(), "refusal|ann|c1|e1|RUN: bob holds it|NOT_HOLDER");
+    EntityStatus status;
+    status.entity = "e1";
+    status.holder = ann;
+    its.holder(status);
+    EXPECT_EQ(trail.last(), "ownership|ann|c1|e1|checked out|");
+    status.holder = {};
+    its.holder(status);
+    EXPECT_EQ(trail.last(), "ownership|||e1|free|");
+    its.left(ann, "is lost", "nothing was heard");
+    EXPECT_EQ(trail.last(), "session|ann|c1||is lost: nothing was heard|");
 }
 
 }  // namespace

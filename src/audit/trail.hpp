@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <thread>
+
+#include "audit/files.hpp"
+#include "audit/note.hpp"
+#include "audit/ring.hpp"
+#include "common/clock.hpp"
+#include "common/rate_limit.hpp"
+#include "host/wake_up.hpp"
+
+namespace axon::audit {
+
+/// What the configuration says of the audit (docs/reference/audit.md).
+struct TrailSettings {
+    std::filesystem::path folder;  ///< empty: nothing is recorded
+    Files::Bounds files;
+    std::size_t waiting = 4096;                  ///< notes that wait for the disk
+    std::uint32_t per_second = 200;              ///< commands and refusals; more in a second are counted
+    std::chrono::milliseconds retry_first{100};  ///< after a write that failed, and twice as long each time
+    std::chrono::milliseconds retry_most{5000};
+};
+
+/// The trail of one program: notes from any thread, in files that a thread of its own writes.
+///
+/// A caller copies its note into a queue, and never waits for the disk. While the disk is full or broken the
+/// queue fills; what does not fit is counted, and the count becomes a record when the disk takes records
+/// again. The same holds for commands and refusals above `per_second`, so that nobody drives the other
+/// records out of the files by asking for much. Stops, rearms, log-ins, sessions and ownership are not
+/// limited.
+///
+/// Life: the constructor notes that the program has started; the destructor writes what waits, if the disk
+/// takes it at once. Threads: any; one of its own. Failure: the constructor throws std::runtime_error for a
+/// folder that cannot be used; later failures are told to `report`, once each time, and once when it is over.
+class Trail final : public AuditTrail {
+  public:
+    /// On the trail's thread, and on that of the constructor.
+    using Report = std::function<void(const std::string& line)>;
+
+    /// `name`: of the program; `started`: what the first record says, such as its release.
+    Trail(const TrailSettings& settings, const std::string& name, const std::string& started, Report report,
+          Files::Write write = {});
+    ~Trail() override;
+    Trail(const Trail&) = delete;
+    Trail& operator=(const Trail&) = delete;
+
+    void note(const Note& note) override;
+    /// Records that could not be kept since the last one of kind Lost.
+    std::uint64_t lost() const { return lost_.load(std::memory_order_relaxed); }
+
+  private:
+    void run();
+    bool writeLosses();
+    bool write(const Record& record);
+    bool failed();
+    void waitFor(int milliseconds);
+
+    const TrailSettings settings_;
+    const Report report_;
+    const SteadyClock clock_{};
+    Ring ring_;
+    RateLimit limit_;
+    std::atomic<std::uint64_t> lost_{0}, left_out_{0};
+    std::atomic<bool> sleeping_{false};  // its thread waits to be woken
+    std::atomic<bool> ending_{false};
+    WakeUp wake_up_;
+    // Of its thread only:
+    Files files_;
+    bool failing_ = false;
+    std::chrono::milliseconds pause_;
+    std::thread thread_;  // last: it uses the others
+};
+
+}  // namespace axon::audit

@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "audit/trail.hpp"
+
+#include <gmock/gmock.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <csignal>
+#include <mutex>
+
+#include "audit/testing.hpp"
+#include "support/loopback.hpp"
+
+namespace axon::audit {
+namespace {
+
+using namespace std::chrono_literals;
+using test::waitUntil;
+using testing::Contains;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+struct AuditTrailTest : testing::Test {
+    AuditTrailTest() {
+        settings.folder = folder.path;
+        settings.retry_first = 1ms;
+        settings.retry_most = 4ms;
+    }
+    Trail::Report report() {
+        return [this](const std::string& line) {
+            const std::lock_guard lock(mutex);
+            reports.push_back(line);
+        };
+    }
+    std::vector<std::string> reported() {
+        const std::lock_guard lock(mutex);
+        return reports;
+    }
+    /// A disk that is full while `full` says so.
+    Files::Write disk() {
+        return [this](int fd, const char* bytes, std::size_t count) -> ssize_t {
+            ++tries;
+            if (full) {
+                errno = ENOSPC;
+                return -1;
+            }
+            return ::write(fd, bytes, count);
+        };
+    }
+    bool recorded(std::size_t records) {
+        return waitUntil([&] { return folder.records().size() >= records; });
+    }
+
+    TrailFolder folder;
+    TrailSettings settings;
+    std::mutex mutex;
+    std::vector<std::string> reports;
+    std::atomic<bool> full{false};
+    std::atomic<int> tries{0};
+};
+
+TEST_F(AuditTrailTest, EveryKindIsRecordedAfterTheStartOfTheProgram) {
+    {
+        Trail trail(settings, "server", "axon-server 1.0", report());
+        for (std::size_t i = 1; i < kKinds.size(); ++i)
+            trail.note({static_cast<Kind>(i), "u", "n", "c", "p", "e", "w", "OK"});
+    }
+    const auto all = folder.records();
+    ASSERT_THAT(all, SizeIs(kKinds.size()));
+    EXPECT_EQ(all[0].what, "axon-server 1.0");
+    for (std::size_t i = 0; i < kKinds.size(); ++i) EXPECT_EQ(all[i].kind, kKinds.at(i));
+    const auto& last = all.back();
+    EXPECT_EQ(last.user + last.name + last.client + last.peer + last.entity + last.what + last.outcome,
+              "uncpewOK");
+    EXPECT_TRUE(folder.chain().whole());
+    EXPECT_THAT(reported(), IsEmpty());
+}
+
+TEST_F(AuditTrailTest, ARecordIsWrittenWithoutAnotherOneAfterIt) {
+    Trail trail(settings, "server", "", report());
+    for (std::size_t i = 1; i < 50; ++i) {
+        trail.note({.kind = Kind::Stop});
+        ASSERT_TRUE(recorded(i + 1));
+    }
+}
+
+TEST_F(AuditTrailTest, AFullDiskHoldsUpNobodyAndIsReportedOnce) {
+    settings.waiting = 16;
+    Trail trail(settings, "server", "", report(), disk());
+    ASSERT_TRUE(recorded(1));
+    full = true;
+    // Far more than can wait. It returns: nobody waits for the disk.
+    for (int i = 0; i < 1000; ++i) trail.note({.kind = Kind::Stop, .what = "while the disk was full"});
+    EXPECT_TRUE(waitUntil([&] { return !reported().empty(); }));
+    const int so_far = tries;
+    EXPECT_TRUE(waitUntil([&] { return tries > so_far + 3; })) << "it is not tried again";
+    EXPECT_THAT(reported(), SizeIs(1));
+    EXPECT_THAT(reported().front(), HasSubstr("No space left"));
+    EXPECT_GE(trail.lost(), 980U);
+    full = false;
+    EXPECT_TRUE(waitUntil([&] { return trail.lost() == 0; }));
+    trail.note({.kind = Kind::Stop, .what = "afterwards"});
+    EXPECT_TRUE(waitUntil([&] { return folder.records().back().what == "afterwards"; }));
+    EXPECT_THAT(reported(), ElementsAre(HasSubstr("cannot be written"), "audit: records are written again"));
+    std::uint64_t lost = 0;
+    std::size_t kept = 0;
+    for (const auto& record : folder.records()) {
+        if (record.kind == "lost") lost += std::stoull(record.what);
+        if (record.what == "while the disk was full") ++kept;
+    }
+    EXPECT_EQ(lost + kept, 1000U);
+    EXPECT_TRUE(folder.chain().whole());
+}
+
+TEST_F(AuditTrailTest, TheEndOfTheProgramDoesNotWaitForAFullDisk) {
+    full = true;
+    {
+        Trail trail(settings, "server", "", report(), disk());
+        trail.note({.kind = Kind::Stop});
+        EXPECT_TRUE(waitUntil([&] { return tries > 0; }));
+    }
+    EXPECT_THAT(reported(), Contains(HasSubstr("is lost")));
+}
+
+TEST_F(AuditTrailTest, WhoAsksForMuchDrivesNoStopOutOfTheTrail) {
+    settings.per_second = 10;
+    {
+        Trail trail(settings, "server", "", report());
+        for (int i = 0; i < 500; ++i) trail.note({.kind = i % 2 == 0 ? Kind::Command : Kind::Refusal});
+        for (int i = 0; i < 500; ++i) trail.note({.kind = Kind::Stop});
+    }
+    std::map<std::string, int> kinds;
+    int left_out = 0;
+    for (const auto& record : folder.records()) {
+        ++kinds[record.kind];
+        if (record.kind == "lost") left_out += std::stoi(record.what);
+    }
+    EXPECT_EQ(kinds["stop"], 500);
+    const int admitted = kinds["command"] + kinds["refusal"];
+    EXPECT_LE(admitted, 30) << "a loop that takes more than two seconds";
+    EXPECT_EQ(admitted + left_out, 500);
+}
+
+TEST_F(AuditTrailTest, ALineThatWasNotFinishedIsReportedAndRecorded) {
+    { const Trail trail(settings, "server", "", report()); }
+    folder.write("server.1.jsonl", folder.text("server.1.jsonl") + "{\"n\":2,\"at");
+    { const Trail trail(settings, "server", "again", report()); }
+    EXPECT_THAT(reported(), ElementsAre(HasSubstr("was not finished")));
+    const auto all = folder.records();
+    ASSERT_THAT(all, SizeIs(2));
+    EXPECT_THAT(all.back().what, HasSubstr("not finished (10 bytes)"));
+    EXPECT_TRUE(folder.chain().whole());
+    EXPECT_THAT(folder.chain().unfinished, SizeIs(1));
+}
+
+TEST_F(AuditTrailTest, AProcessThatIsKilledLeavesAWholeTrail) {
+    const auto child = ::fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+        Trail trail(settings, "server", "", [](const std::string&) {});
+        while (true) trail.note({.kind = Kind::Stop, .what = "a stop"});
+    }
+    EXPECT_TRUE(waitUntil([&] {
+        std::error_code not_yet;
+        const auto size = std::filesystem::file_size(folder.path / "server.1.jsonl", not_yet);
+        return !not_yet && size > 50'000;
+    }));
+    ::kill(child, SIGKILL);
+    int status = 0;
+    ::waitpid(child, &status, 0);
+    const auto chain = folder.chain();
+    EXPECT_THAT(chain.faults, IsEmpty());
+    EXPECT_LE(chain.unfinished.size(), 1U);
+    { const Trail trail(settings, "server", "", report()); }
+    EXPECT_TRUE(folder.chain().whole());
+}
+
+TEST_F(AuditTrailTest, WhereThereIsNoTrailNothingHappens) {
+    orNone(nullptr).note({.kind = Kind::Stop});
+    Trail trail(settings, "server", "", report());
+    EXPECT_EQ(&orNone(&trail), &trail);
+}
+
+}  // namespace
+}  // namespace axon::audit

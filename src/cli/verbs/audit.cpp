@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <deque>
+#include <map>
+#include <stdexcept>
+
+#include "audit/note.hpp"
+#include "audit/reader.hpp"
+#include "cli/holding.hpp"
+
+// axon audit
+namespace axon::cli {
+namespace {
+
+using audit::Chain;
+using audit::Record;
+
+constexpr const char* kFolder = "/var/lib/axon-server/audit";
+
+std::vector<const char*> kinds() {
+    std::vector<const char*> all;
+    for (const auto kind : audit::kKinds) all.push_back(kind.data());
+    return all;
+}
+
+/// The beginning of a time as records have it: "2026", "2026-11-28T14".
+bool isTime(const std::string& text) {
+    static constexpr std::string_view kPattern = "0000-00-00T00:00:00.000000Z";
+    if (text.size() < 4 || text.size() > kPattern.size()) return false;
+    for (std::size_t i = 0; i < text.size(); ++i) {
+        const bool digit = text[i] >= '0' && text[i] <= '9';
+        if (kPattern[i] == '0' ? !digit : text[i] != kPattern[i]) return false;
+    }
+    return true;
+}
+
+/// What `axon audit show` is asked for; empty = all.
+struct Filter {
+    std::string entity, user, kind, since, until;
+
+    bool wants(const Record& record, const std::string& user_of_client) const {
+        return (entity.empty() || record.entity == entity || record.name == entity) &&
+               (user.empty() || record.user == user || record.name == user || record.client == user ||
+                user_of_client == user) &&
+               (kind.empty() || record.kind == kind) && record.at >= since &&
+               record.at.compare(0, until.size(), until) <= 0;
+    }
+};
+
+Json toJson(const std::string& trail, const Record& record) {
+    Json event{{"event", "audit_record"},
+               {"trail", trail},
+               {"n", record.number},
+               {"at", record.at},
+               {"kind", record.kind}};
+    for (const auto& [key, text] : {std::pair{"user", &record.user}, std::pair{"name", &record.name},
+                                    std::pair{"client", &record.client}, std::pair{"peer", &record.peer},
+                                    std::pair{"entity", &record.entity}, std::pair{"what", &record.what},
+                                    std::pair{"outcome", &record.outcome}})
+        if (!text->empty()) event[key] = *text;
+    return event;
+}
+
+int show(Session& session, const std::string& folder) {
+    const auto text = [&](const char* option) { return session.args.value(option, std::string()); };
+    const Filter filter{text("entity"), text("user"), text("kind"), text("since"), text("until")};
+    for (const auto& time : {filter.since, filter.until})
+        if (!time.empty() && !isTime(time))
+            return misused(session,
+                           "'" + time +
+                               "' is no time; expected the beginning of one in UTC, such as 2026-11-28 or "
+                               "2026-11-28T14:35");
+    const auto last = session.args.value("last", std::size_t{0});
+    std::map<std::string, std::string> users;  // of clients, by their id
+    std::deque<std::pair<std::string, Record>> found;
+    const auto chains = audit::readTrails(folder, {}, [&](const std::string& trail, const Record& record) {
+        if (record.kind == "session" && !record.client.empty() && !record.user.empty())
+            users[record.client] = record.user;
+        const auto user = users.find(record.client);
+        if (filter.wants(record, user == users.end() ? std::string() : user->second))
+            found.emplace_back(trail, record);
+    });
+    std::stable_sort(found.begin(), found.end(),
+                     [](const auto& a, const auto& b) { return a.second.at < b.second.at; });
+    if (last > 0 && found.size() > last)
+        found.erase(found.begin(), found.end() - static_cast<std::ptrdiff_t>(last));
+    for (const auto& [trail, record] : found) session.events.emit(toJson(trail, record));
+    for (const auto& chain : chains)
+        if (!chain.whole())
+            session.events.emit(
+                {{"event", "finding"},
+                 {"level", "bad"},
+                 {"name", chain.name},
+                 {"message", "the trail is not whole: what is shown may be changed or incomplete"},
+                 {"fix", "axon audit verify says where"}});
+    return kDone;
+}
+
+int verify(Session& session, const std::string& folder) {
+    const auto kept = session.args.value("kept", std::string());
+    const auto chains = audit::readTrails(folder, kept);
+    if (chains.empty())
+        throw std::runtime_error(
+            "there is no audit trail in '" + folder +
+            "'; expected files NAME.NUMBER.jsonl; fix: name the folder of Axon.Audit.Folder");
+    int exit = kDone;
+    const auto bad = [&](const std::string& place, const std::string& message) {
+        exit = kRefused;
+        session.events.emit({{"event", "finding"}, {"level", "bad"}, {"name", place}, {"message", message}});
+    };
+    bool kept_found = false;
+    for (const auto& chain : chains) {
+        session.events.emit({{"event", "audit_trail"},
+                             {"trail", chain.name},
+                             {"whole", chain.whole()},
+                             {"records", chain.records},
+                             {"first", chain.first},
+                             {"last", chain.last},
+                             {"last_at", chain.last_at},
+                             {"hash", chain.hash},
+                             {"unfinished", chain.unfinished}});
+        for (const auto& fault : chain.faults) bad(fault.place(), fault.text);
+        if (chain.faulty > chain.faults.size())
+            bad(chain.name, std::to_string(chain.faulty - chain.faults.size()) + " further lines are wrong");
+        kept_found = kept_found || chain.kept_found;
+    }
+    if (!kept.empty() && !kept_found)
+        bad(folder,
+            "no line has the hash " + kept +
+                ": the trail was cut or written anew since that was noted, or the file with that line was "
+                "rotated away");
+    return exit;
+}
+
+int auditVerb(Session& session) {
+    const std::string action = session.args.at("action");
+    const auto operand = session.args.value("folder_name", std::string());
+    const auto option = session.args.value("folder", std::string());
+    if (!operand.empty() && !option.empty()) return misused(session, "the folder is named twice");
+    const auto folder = !operand.empty() ? operand : !option.empty() ? option : std::string(kFolder);
+    for (const auto* only : {"entity", "user", "kind", "since", "until", "last"})
+        if (action == "verify" && session.args.contains(only))
+            return misused(session, std::string("--") + only + " is for axon audit show");
+    if (action == "show" && session.args.contains("kept"))
+        return misused(session, "--kept is for axon audit verify");
+    try {
+        return action == "show" ? show(session, folder) : verify(session, folder);
+    } catch (const std::exception& error) {
+        session.events.emit(usageEvent(error.what()));
+    }
+    return kUsage;
+}
+
+}  // namespace
+
+extern const Verb kAudit{
+    "audit",
+    "Show and verify what servers and Entity Managers have recorded",
+    "  axon audit show --last 20                      the newest records\n"
+    "  axon audit show --kind stop --since 2026-11-28T14\n"
+    "  axon audit show --user ann --json              what ann did, as JSON lines\n"
+    "  axon audit verify /var/lib/axon-server/audit   whether anything is changed or missing\n"
+    "  axon audit verify --kept HASH                  … and whether a line that was noted is still there\n"
+    "docs/reference/audit.md says what is recorded, and what verifying proves.\n",
+    Runs::Local,
+    {{"action", Takes::Choice, true, false, "show or verify", {"show", "verify"}},
+     {"folder_name", Takes::File, false, false, "Folder of the trails"}},
+    {{"folder", Takes::File, "Folder of the trails (default /var/lib/axon-server/audit)"},
+     {"entity", Takes::Text, "show: of this entity, by UUID or name"},
+     {"user", Takes::Text, "show: of this user, client or client id"},
+     {"kind", Takes::Choice, "show: of this kind", kinds()},
+     {"since", Takes::Text, "show: from this time on, in UTC: 2026-11-28T14:35 or its beginning"},
+     {"until", Takes::Text, "show: up to this time, which counts"},
+     {"last", Takes::Count, "show: only so many, the newest"},
+     {"kept", Takes::Text, "verify: a hash that was noted earlier must be there"}},
+    auditVerb};
+
+}  // namespace axon::cli

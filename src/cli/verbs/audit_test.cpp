@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <gmock/gmock.h>
+
+#include <sstream>
+
+#include "audit/files.hpp"
+#include "audit/testing.hpp"
+#include "cli/command_line.hpp"
+#include "cli/fake_station.hpp"
+#include "cli/view.hpp"
+
+using namespace axon;
+using namespace axon::cli;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+namespace {
+
+struct Audit : testing::Test {
+    Audit() {
+        audit::Files files(folder.path, "axon-server", {});
+        add(files, {0, "", "started", "", "", "", "", "", "axon-server 0.1", "", ""});
+        add(files, {0, "", "session", "ann", "tablet", "c1", "", "", "joined as operator", "OK", ""});
+        add(files, {0, "", "stop", "", "tablet", "c1", "", "e1", "stop", "OK", ""});
+        add(files, {0, "", "stop", "", "bob", "c2", "", "e2", "stop \x1b[31m", "OK", ""});
+        add(files, {0, "", "refusal", "eve", "", "", "10.0.0.9:4444", "", "log-in", "PERMISSION_DENIED", ""});
+    }
+    void add(audit::Files& files, audit::Record record) {
+        record.at = audit::utcTime(1'790'000'000'000'000 + 1'000'000 * at++);
+        EXPECT_TRUE(files.append(record));
+    }
+    /// As the user writes it.
+    int axon(std::vector<std::string> words) {
+        words.insert(words.begin(), "audit");
+        const auto parsed = parseCommandLine(words, [](const char*) -> const char* { return nullptr; });
+        EXPECT_TRUE(parsed.line) << parsed.err;
+        if (!parsed.line) return parsed.exit;
+        Session session{parsed.line->args, seen, nullptr, nullptr, parsed.line->settings};
+        return parsed.line->verb->perform(session);
+    }
+    /// The numbers of the records that are shown.
+    std::vector<int> shown(std::vector<std::string> words) {
+        seen.all.clear();
+        words.insert(words.begin(), {"show", "--folder", folder.path.string()});
+        EXPECT_EQ(axon(words), kDone);
+        std::vector<int> numbers;
+        for (const auto& event : seen.all)
+            if (event.at("event") == "audit_record") numbers.push_back(event.at("n"));
+        return numbers;
+    }
+    audit::TrailFolder folder;
+    int at = 0;
+    Recorded seen;
+};
+
+}  // namespace
+
+TEST_F(Audit, ShowsTheRecordsThatAreAskedFor) {
+    EXPECT_THAT(shown({}), ElementsAre(1, 2, 3, 4, 5));
+    EXPECT_THAT(shown({"--last", "2"}), ElementsAre(4, 5));
+    EXPECT_THAT(shown({"--kind", "stop"}), ElementsAre(3, 4));
+    EXPECT_THAT(shown({"--entity", "e1"}), ElementsAre(3));
+    EXPECT_THAT(shown({"--user", "eve"}), ElementsAre(5));
+    const auto second = audit::utcTime(1'790'000'000'000'000 + 1'000'000).substr(0, 19);
+    EXPECT_THAT(shown({"--until", second}), ElementsAre(1, 2));
+    EXPECT_THAT(shown({"--since", second, "--kind", "session"}), ElementsAre(2));
+    EXPECT_EQ(seen.last("audit_record")->at("user"), "ann");
+    EXPECT_FALSE(seen.last("audit_record")->contains("entity"));
+}
+
+TEST_F(Audit, AUserIsFoundByWhatTheClientDidUnderAnotherName) {
+    EXPECT_THAT(shown({"--user", "ann"}), ElementsAre(2, 3));
+}
+
+TEST_F(Audit, VerifyTellsTheLastHashAndFindsItAgain) {
+    EXPECT_EQ(axon({"verify", folder.path.string()}), kDone);
+    const std::string hash = seen.last("audit_trail")->at("hash");
+    EXPECT_EQ(seen.last("audit_trail")->at("last"), 5);
+    EXPECT_EQ(axon({"verify", folder.path.string(), "--kept", hash}), kDone);
+    EXPECT_EQ(axon({"verify", folder.path.string(), "--kept", audit::kNoHash}), kRefused);
+    EXPECT_THAT(seen.last("finding")->at("message").get<std::string>(), HasSubstr("cut or written anew"));
+}
+
+TEST_F(Audit, VerifyNamesThePlaceOfAChangeAndFails) {
+    auto text = folder.text("axon-server.1.jsonl");
+    text.replace(text.find("tablet"), 6, "laptop");
+    folder.write("axon-server.1.jsonl", text);
+    EXPECT_EQ(axon({"verify", folder.path.string()}), kRefused);
+    EXPECT_THAT(seen.last("finding")->at("name").get<std::string>(), HasSubstr("axon-server.1.jsonl:2"));
+    EXPECT_EQ(seen.last("audit_trail")->at("whole"), false);
+    shown({});
+    EXPECT_THAT(seen.last("finding")->at("fix").get<std::string>(), HasSubstr("axon audit verify"));
+}
+
+TEST_F(Audit, WhatPeopleSeeHasNoControlCharacters) {
+    shown({"--entity", "e2"});
+    std::ostringstream out, err;
+    PersonView(out, err, {}, ManualClock()).emit(*seen.last("audit_record"));
+    EXPECT_THAT(out.str(), HasSubstr("stop"));
+    EXPECT_EQ(out.str().find('\x1b'), std::string::npos);
+    EXPECT_EQ(axon({"verify", folder.path.string()}), kDone);
+    PersonView(out, err, {}, ManualClock()).emit(*seen.last("audit_trail"));
+    EXPECT_THAT(out.str(), HasSubstr("axon-server: 5 records"));
+}
+
+TEST_F(Audit, SaysWhatIsWrongWithTheCommand) {
+    EXPECT_EQ(axon({"verify", (folder.path / "none").string()}), kUsage);
+    EXPECT_EQ(axon({"show", "--since", "yesterday"}), kUsage);
+    EXPECT_EQ(axon({"show", "a", "--folder", "b"}), kUsage);
+    EXPECT_EQ(axon({"verify", folder.path.string(), "--last", "3"}), kUsage);
+    EXPECT_EQ(axon({"show", "--kept", audit::kNoHash}), kUsage);
+    const audit::TrailFolder empty;
+    EXPECT_EQ(axon({"verify", empty.path.string()}), kUsage);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("there is no audit trail"));
+}

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/storage/audited_journal.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+audit::Kind kindOf(JournalRecord::Kind kind) {
+    switch (kind) {
+        case JournalRecord::Kind::Started:
+            return audit::Kind::Started;
+        case JournalRecord::Kind::Granted:
+        case JournalRecord::Kind::Lost:
+        case JournalRecord::Kind::Resumed:
+        case JournalRecord::Kind::LeaseEnded:
+            return audit::Kind::Ownership;
+        case JournalRecord::Kind::TakenOver:
+            return audit::Kind::TakeOver;
+        case JournalRecord::Kind::Refused:
+            return audit::Kind::Refusal;
+        case JournalRecord::Kind::Stopped:
+            return audit::Kind::Stop;
+        case JournalRecord::Kind::Rearmed:
+            return audit::Kind::Rearm;
+        case JournalRecord::Kind::Dispatched:
+        case JournalRecord::Kind::TaskEnded:
+        case JournalRecord::Kind::Part:
+            break;
+    }
+    return audit::Kind::Command;
+}
+
+}  // namespace
+
+void AuditedJournal::note(const JournalRecord& record) const {
+    std::string what(toString(record.kind));
+    if (!record.service.empty()) what += " " + record.service;
+    if (!record.task.isZero()) what += " (task " + record.task.toString() + ")";
+    if (record.kind == JournalRecord::Kind::Stopped)
+        what += ", generation " + std::to_string(record.generation);
+    if (!record.text.empty()) what += ": " + record.text;
+    trail_.note({.kind = kindOf(record.kind),
+                 .name = record.who,
+                 .entity = entity_,
+                 .what = what,
+                 .outcome = record.code});
+}
+
+bool AuditedJournal::append(const JournalRecord& record) {
+    const bool written = journal_.append(record);
+    note(record);
+    return written;
+}
+
+Later<bool> AuditedJournal::appendDispatch(const JournalRecord& record) {
+    auto written = journal_.appendDispatch(record);
+    note(record);
+    return written;
+}
+
+}  // namespace axon::entity_manager

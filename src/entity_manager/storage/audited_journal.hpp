@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <functional>
+#include <string>
+#include <utility>
+
+#include "audit/note.hpp"
+#include "entity_manager/ports/ports.hpp"
+
+namespace axon::entity_manager {
+
+/// A journal whose entries go into the audit trail as well (docs/adr/0041-audit.md): what the Entity Manager
+/// decides is known there already, so the core needs no further port.
+///
+/// What the journal does not take is in the trail all the same. A dispatch is noted when it is asked for.
+/// Threads: as the journal. Failure: as the journal; the trail has none.
+class AuditedJournal final : public Journal {
+  public:
+    /// `entity`: its UUID, as far as it is known.
+    AuditedJournal(Journal& journal, audit::AuditTrail& trail, std::string entity)
+        : journal_(journal), trail_(trail), entity_(std::move(entity)) {}
+    /// Before the core's strand runs.
+    void setEntity(std::string entity) { entity_ = std::move(entity); }
+
+    bool append(const JournalRecord& record) override;
+    Later<bool> appendDispatch(const JournalRecord& record) override;
+    void onAnswer(std::function<void()> come) override { journal_.onAnswer(std::move(come)); }
+    void replay(const std::function<void(const JournalRecord&)>& each) override { journal_.replay(each); }
+
+  private:
+    void note(const JournalRecord& record) const;
+
+    Journal& journal_;
+    audit::AuditTrail& trail_;
+    std::string entity_;
+};
+
+}  // namespace axon::entity_manager
