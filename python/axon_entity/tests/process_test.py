@@ -423,6 +423,27 @@ def test_a_fork_gives_no_orders(start, ports):
     assert robot.line() == "status 0"
 
 
+def test_a_start_that_fails_leaves_no_folder(start, tmp_path):
+    robot = start(f"""
+        import tempfile
+        tempfile.tempdir = {str(tmp_path)!r}
+        entity.service("Go")(lambda: None)
+        entity.start()
+        taken = axon_entity.Entity("Taken", category="MACHINE", ports=(entity.port, entity.port))
+        taken.service("Go")(lambda: None)
+        try:
+            taken.start()
+        except axon_entity.Misconfiguration as error:
+            say("fix: " if "fix: " in str(error) else str(error))
+        say(str(len(os.listdir(tempfile.tempdir))))
+        entity.shutdown()
+        say(str(len(os.listdir(tempfile.tempdir))))
+    """)
+    assert robot.line() == "fix:"
+    assert robot.line() == "1"
+    assert robot.line() == "0"
+
+
 def turntable(start, ports, tmp_path, lost):
     """The example 06_device on the test's own line to a motor, with a device thread that finds the motor lost as `lost` says."""
     (tmp_path / "ports.cfg").write_text(f"Axon.Ports = {ports[0]}-{ports[1]}\n")
