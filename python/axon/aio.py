@@ -382,10 +382,10 @@ class Stream:
 class Robot:
     """An entity that this client holds, as axon.Robot."""
 
-    def __init__(self, lab: Lab, native: _native.CheckOut) -> None:
+    def __init__(self, lab: Lab, native: _native.CheckOut, fans: Dict[str, _native.Feed]) -> None:
         self._lab = lab
         self._native = native
-        self._fans: Dict[str, _native.Feed] = {}
+        self._fans = fans
 
     @property
     def entity(self) -> Entity:
@@ -559,6 +559,7 @@ class Lab:
         self._loop = Loop()
         self._readers: "set[Reader]" = set()
         self._fans: Dict[str, _native.Feed] = {}
+        self._fans_of: Dict[str, Dict[str, _native.Feed]] = {}  # of the newest check-out of each entity, by its UUID
         self._dropped = 0  # by readers that are closed
 
     @property
@@ -663,7 +664,7 @@ class Lab:
                 if natives:
                     threading.Thread(target=release_all, args=(natives,), name="axon-request", daemon=True).start()
                 raise
-            return Robots(Robot(self, native) for native in natives)
+            return Robots(self._robot(native, new=True) for native in natives)
 
         async def tell(reader: Reader) -> None:
             while True:
@@ -677,10 +678,17 @@ class Lab:
     async def resume(self, ticket: str) -> Robot:
         give_up = _native.GiveUp()
         natives = await in_thread(lambda: granted_by(lambda granted: self._native.resume(ticket, give_up, granted)), give_up, release_all)
-        return Robot(self, natives[0])
+        return self._robot(natives[0], new=True)
 
     def held(self) -> Robots:
-        return Robots(Robot(self, native) for native in self._native.held())
+        return Robots(self._robot(native, new=False) for native in self._native.held())
+
+    def _robot(self, native: _native.CheckOut, new: bool) -> Robot:
+        """`new`: it was checked out by this; otherwise what it is told goes to the Robot that stands for it already, too."""
+        entity = native.entity().id
+        if new or entity not in self._fans_of:
+            self._fans_of[entity] = {}
+        return Robot(self, native, self._fans_of[entity])
 
     async def stop(self, *entities: Any, deadline: float = 1.0, standstill: float = 0.0) -> Receipts:
         """As axon.Lab.stop(). Look at `confirmed` of what it returns."""

@@ -120,12 +120,14 @@ class Callbacks:
     """Calls the program's callbacks one at a time, in order, on a thread of Python that starts with the first of them.
 
     Threads of the client library only put what they have to tell into its feed, so a callback that does not return holds up
-    other callbacks and nothing else. An exception from a callback is logged (logger "axon") and ends nothing. The thread does
-    not keep the callbacks: they end with the connection to which they belong, also when that is forgotten.
+    other callbacks and nothing else. An exception from a callback, SystemExit included, is logged (logger "axon") and ends
+    nothing. The thread does not keep the callbacks: they end with the connection to which they belong, also when that is
+    forgotten.
     """
 
     def __init__(self) -> None:
         self.feed = _native.Feed()
+        self.process = os.getpid()
         self._lock = threading.Lock()
         self._called: Dict[int, Tuple[Callable[[Any], None], Callable[[Any], bool]]] = {}
         self._next = 0
@@ -133,7 +135,8 @@ class Callbacks:
 
     def add(self, callback: Callable[[Any], None], last: Callable[[Any], bool] = lambda value: False) -> int:
         """Returns the tag under which the feed gets what the callback is told. It is removed when it was told something that
-        is the `last`."""
+        is the `last`. Refused in a child of fork(), where the lock may be held for ever."""
+        _native.check_process(self.process)
         with self._lock:
             self._next += 1
             self._called[self._next] = callback, last
@@ -156,10 +159,7 @@ class Callbacks:
             callback, last = self._called.get(tag, (None, None))
         if callback is None or last is None:
             return
-        try:
-            callback(value)
-        except Exception:  # pylint: disable=broad-except
-            log.exception("a callback has thrown")
+        tell_each([callback], value)
         if last(value):
             with self._lock:
                 self._called.pop(tag, None)
@@ -465,6 +465,59 @@ class Watch:
         self.close()
 
 
+class Told:
+    """Who is told what of one check-out, whichever Robot stands for it: the library knows one callback of a kind for each.
+
+    The callbacks end with the lease, by release() or when it is lost.
+    """
+
+    def __init__(self, native: _native.CheckOut, callbacks: Callbacks) -> None:
+        self._native = native
+        self._place = weakref.ref(callbacks)  # which keeps this object while somebody is to be told
+        self._lock = threading.Lock()
+        self._told: Dict[str, List[Callable[[Any], None]]] = {}
+        self._tags: List[int] = []
+
+    def add(self, what: str, callback: Callable[[Any], None]) -> None:
+        callbacks = self._place()
+        if callbacks is None:
+            return
+        _native.check_process(callbacks.process)
+        with self._lock:
+            for each in (what, "on_lost"):  # with which the others end
+                if each not in self._told:
+                    self._told[each] = []
+                    self._tags.append(callbacks.add(self._teller(each)))
+                    getattr(self._native, each)(callbacks.feed, self._tags[-1])
+            self._told[what].append(callback)
+
+    def _teller(self, what: str) -> Callable[[Any], None]:
+        def tell(value: Any) -> None:
+            with self._lock:
+                present = list(told)
+                ended = self._forget() if what == "on_lost" else []
+            tell_each(present, value)
+            self._remove(ended)
+        told = self._told[what]
+        return tell
+
+    def end(self) -> None:
+        """Nothing more is told, but for what has come by now."""
+        with self._lock:
+            ended = self._forget()
+        self._remove(ended)
+
+    def _forget(self) -> List[int]:
+        tags, self._tags = self._tags, []
+        self._told = {}
+        return tags
+
+    def _remove(self, tags: List[int]) -> None:
+        callbacks = self._place()
+        if tags and callbacks is not None:
+            callbacks.remove(*tags)
+
+
 class Robot:
     """An entity that this client holds. Its streams are attributes: `robot.scan`.
 
@@ -473,12 +526,10 @@ class Robot:
     this client to come back (`orphaned`).
     """
 
-    def __init__(self, lab: Lab, native: _native.CheckOut) -> None:
+    def __init__(self, lab: Lab, native: _native.CheckOut, told: Told) -> None:
         self._lab = lab
         self._native = native
-        self._told: Dict[str, List[Callable[..., None]]] = {}
-        self._told_lock = threading.Lock()
-        self._tags: List[int] = []
+        self._told = told
 
     @property
     def entity(self) -> Entity:
@@ -582,30 +633,7 @@ class Robot:
 
     def _on(self, what: str, callback: Callable[[Any], None]) -> None:
         checked(callback)
-        with self._told_lock:
-            told, lock = self._told.setdefault(what, []), self._told_lock
-            told.append(callback)
-            if len(told) > 1:
-                return
-
-            def tell_all(value: Any) -> None:
-                with lock:
-                    present = list(told)
-                for each in present:
-                    try:
-                        each(value)
-                    except Exception:  # pylint: disable=broad-except
-                        log.exception("a callback has thrown")
-            self._tags.append(self._lab._callbacks.add(tell_all))
-            getattr(self._native, what)(self._lab._callbacks.feed, self._tags[-1])
-
-    def _released(self) -> None:
-        """Nothing more is told."""
-        with self._told_lock:
-            tags, self._tags = self._tags, []
-            self._told = {}
-        if tags:
-            self._lab._callbacks.remove(*tags)
+        self._told.add(what, callback)
 
     @property
     def orphaned(self) -> bool:
@@ -650,16 +678,19 @@ class Robot:
         return self._native.clear()
 
     def release(self) -> None:
-        """Ends the lease. A task that runs is stopped."""
-        self._native.release()
-        self._released()
+        """Ends the lease. A task that runs is stopped. No callback of this robot is called for what comes later."""
+        try:
+            self._native.release()
+        finally:
+            if self._native.of_this_process():
+                self._told.end()
 
     def __enter__(self) -> Robot:
         return self
 
     def __exit__(self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]) -> None:
         if release_quietly(self._native):
-            self._released()
+            self._told.end()
 
     def __dir__(self) -> List[str]:
         return [name for name in super().__dir__()]
@@ -709,16 +740,15 @@ def cancel_quietly(task: _native.Task) -> None:
 
 def release_quietly(native: _native.CheckOut) -> bool:
     """At the end of `with`: a lease that has ended already is what was wanted, and a lost connection ends it, too. A child of
-    fork() leaves it to its parent. True if this call has released it."""
+    fork() leaves it to its parent: False."""
     if not native.of_this_process():
         return False
     try:
         native.release()
-        return True
     except Refused as refused:
         if refused.code not in (RefusalCode.NOT_HOLDER, RefusalCode.OLDER_LEASE, RefusalCode.REVOKED_LEASE, RefusalCode.WRONG_EPOCH):
             log.warning("not released: %s", refused)
-        return False
+    return True
 
 
 def release_all(natives: List[_native.CheckOut]) -> None:
@@ -748,6 +778,7 @@ class Lab:
         self._queues: "weakref.WeakSet[queue.SimpleQueue[Optional[Event]]]" = weakref.WeakSet()
         self._entity_told: List[EntityTold] = []
         self._connection_told: List[Callable[[bool, str], None]] = []
+        self._told: Dict[str, Told] = {}  # of the newest check-out of each entity, by its UUID
         self._listens = False
         self._lock = threading.Lock()
         _open.add(self)
@@ -915,7 +946,7 @@ class Lab:
         granted: List[_native.CheckOut] = []
         try:
             ask(feed, tag, granted)
-            return Robots(Robot(self, native) for native in granted)
+            return Robots(self._robot(native, new=True) for native in granted)
         except BaseException:
             release_all(granted)
             raise
@@ -925,7 +956,15 @@ class Lab:
 
     def held(self) -> Robots:
         """The entities that this client holds now."""
-        return Robots(Robot(self, native) for native in self._native.held())
+        return Robots(self._robot(native, new=False) for native in self._native.held())
+
+    def _robot(self, native: _native.CheckOut, new: bool) -> Robot:
+        """`new`: it was checked out by this; otherwise its callbacks are those of the Robot that stands for it already."""
+        entity = native.entity().id
+        with self._lock:
+            if new or entity not in self._told:
+                self._told[entity] = Told(native, self._callbacks)
+            return Robot(self, native, self._told[entity])
 
     def stop(self, *entities: Named, deadline: float = 1.0, standstill: float = 0.0) -> Receipts:
         """Stops entities, whoever holds them; without a name, every entity. They are latched then.
@@ -1032,7 +1071,7 @@ def tell_each(callbacks: Sequence[Optional[Callable[..., None]]], *told: Any) ->
         try:
             if callback is not None:
                 callback(*told)
-        except Exception:  # pylint: disable=broad-except
+        except BaseException:  # pylint: disable=broad-except  # SystemExit, too: it would end the thread, and nobody would notice
             log.exception("a callback has thrown")
 
 

@@ -563,14 +563,18 @@ class Entity:
             return self
         self._check_against_file()
         self._check_native_stop()
-        basic, services = self._place_profiles()
-        self._native.upload_basic_profile(os.fspath(basic))
-        self._native.upload_service_profile(os.fspath(services))
-        for service in self._services:
-            self._native.on_task(service, self._handle)
-        function = None if self._stop_function is None else self._call_stop_function
-        self._native.on_stop(self._stop_actions, function, self._stop_within)
-        self._native.start()
+        try:
+            basic, services = self._place_profiles()
+            self._native.upload_basic_profile(os.fspath(basic))
+            self._native.upload_service_profile(os.fspath(services))
+            for service in self._services:
+                self._native.on_task(service, self._handle)
+            function = None if self._stop_function is None else self._call_stop_function
+            self._native.on_stop(self._stop_actions, function, self._stop_within)
+            self._native.start()
+        except BaseException:
+            self._remove_temporary()
+            raise
         _started.add(self)
         if self._logger is not None:
             self._log_thread = threading.Thread(target=self._forward_log, name="axon-log", daemon=True)
@@ -625,10 +629,13 @@ class Entity:
             if self._log_thread is not None and self._log_thread is not threading.current_thread():
                 self._log_thread.join()
             _started.discard(self)
-            if self._temporary is not None:
-                shutil.rmtree(self._temporary, ignore_errors=True)
-                self._temporary = None
+            self._remove_temporary()
         return True
+
+    def _remove_temporary(self) -> None:
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+            self._temporary = None
 
     def __enter__(self) -> Entity:
         return self.start()

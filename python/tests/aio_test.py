@@ -180,7 +180,7 @@ def test_several_may_iterate_over_the_same(laboratory):
         async with axon.aio.connect(laboratory.server, name="client1@lab") as lab:
             first, second = lab.events(), lab.events()
             robot = await lab.checkout("PeopleBot")
-            texts, others = robot.texts(), robot.texts()
+            texts, others = robot.texts(), lab.held()[0].texts()
             entity.do("text", text="one")
             assert [await texts.__anext__(), await others.__anext__()] == ["one", "one"]
             await texts.aclose()

@@ -248,7 +248,8 @@ import gc
 robot.on_text(lambda text: print(text, flush=True))
 watch = robot.scan.watch()
 calls = [robot.stop, robot.release, lambda: robot.run("Drive", Distance=1), task.cancel, lambda: task.report, lab.entities,
-         lambda: lab.checkout("PeopleBot"), lab.stop, lambda: lab.on_entity(print), lambda: robot.send_text("from the child")]
+         lambda: lab.checkout("PeopleBot"), lab.stop, lambda: lab.on_entity(print), lambda: robot.send_text("from the child"),
+         lambda: robot.on_text(print), lambda: task.on_update(print), lambda: lab.checkout("PeopleBot", on_waiting=print)]
 def refused(call):
     try:
         call()
@@ -336,9 +337,53 @@ def test_what_nobody_reads_any_more_is_not_kept(laboratory, robot, client):
     wait_until(lambda: sum(report.final for report in called) == 2, "told")
     wait_until(lambda: len(lab._callbacks) == 0, "no callback is kept when its task has ended")
     held.on_text(called.append)
-    assert len(lab._callbacks) == 1
+    assert len(lab._callbacks) > 0
     held.release()
     wait_until(lambda: len(lab._callbacks) == 0, "no callback is kept when its robot was released")
+
+
+def test_the_callbacks_of_a_robot_end_when_it_is_lost(laboratory, robot, client):
+    lab, other = client(), client(name="client2@lab")
+    held = lab.checkout("PeopleBot")
+    lost, late = [], []
+    held.on_text(lost.append)
+    held.on_lost(lost.append)
+    other.wait_for("PeopleBot", 5)
+    taken = other.checkout("PeopleBot", force=True, reason="mine")
+    wait_until(lambda: lost, "told")
+    wait_until(lambda: len(lab._callbacks) == 0, "no callback is kept")
+    held.on_lost(late.append)
+    wait_until(lambda: late, "whoever asks later is told, too")
+    assert late[0].message == lost[0].message
+    taken.release()
+    lab.wait_for("PeopleBot", 5)
+    with lab.checkout("PeopleBot") as held:
+        held.on_text(lost.append)
+        other.checkout("PeopleBot", force=True, reason="mine again")
+        wait_until(lambda: not lab.held(), "lost")
+    wait_until(lambda: len(lab._callbacks) == 0, "and with on_text alone")
+
+
+def test_every_object_that_stands_for_a_robot_is_told(laboratory, robot, client):
+    lab = client()
+    held = lab.checkout("PeopleBot")
+    first, second = [], []
+    held.on_text(first.append)
+    lab.held()[0].on_text(second.append)
+    robot.do("text", text="both")
+    wait_until(lambda: first == second == ["both"], "told")
+
+
+def test_an_exit_in_a_callback_ends_no_other_callback(laboratory, robot, client, caplog):
+    lab = client()
+    held = lab.checkout("PeopleBot")
+    texts = []
+    held.on_text(lambda text: sys.exit("of the callback"))
+    held.on_text(texts.append)
+    for text in ("one", "two"):
+        robot.do("text", text=text)
+    wait_until(lambda: texts == ["one", "two"], "told")
+    assert "of the callback" in caplog.text
 
 
 def test_callbacks_that_do_not_return_keep_a_bounded_number_of_bytes(laboratory, robot, client):

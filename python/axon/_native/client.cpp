@@ -588,6 +588,7 @@ void bindClient(py::module_& module) {
         options.direct_paths = direct_paths;
         return connectTo(std::move(options), keep_running);
     });
+    module.def("check_process", &mustBe, py::arg("process"), "Refused in a child of fork() of this process.");
     module.def("close_all", &closeAll, "Closes the connections that are open.");
     module.def("value_text", [](const Value& value) { return text(toText(value)); });
 }

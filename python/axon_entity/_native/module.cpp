@@ -2,6 +2,7 @@
 // axon_entity._native: the Entity Interfacer for Python. Typed by axon_entity/_native.pyi.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
+#include <unistd.h>
 
 #include <axon/device_guard.hpp>
 #include <cstring>
@@ -209,10 +210,16 @@ void defineTask(py::module_& module) {
         .def_property_readonly("stop_cause", [](const Task& task) { return task.stopCause(); })
         .def_property_readonly("paused", [](const Task& task) { return task.paused(); })
         .def(
-            "wait_while_paused", [](const Task& task) { return task.waitWhilePaused(); }, Others())
+            "wait_while_paused",
+            [](const Task& task) {
+                checkProcessOfTasks();
+                return task.waitWhilePaused();
+            },
+            Others())
         .def(
             "wait",
             [](const Task& task, double seconds) {
+                checkProcessOfTasks();
                 return task.waitFor(std::chrono::duration<double>(std::min(seconds, 1e9)));
             },
             Others())
@@ -324,7 +331,13 @@ void defineInterfacer(py::module_& module) {
 void defineStopActions(py::module_& module) {
     using Seconds = std::chrono::duration<double>;
     py::class_<StopAction, std::shared_ptr<StopAction>>(module, "StopAction")
-        .def("carry_out", &StopAction::carryOut, Others())
+        .def(
+            "carry_out",
+            [](StopAction& action) {
+                checkProcessOfTasks();
+                action.carryOut();
+            },
+            Others())
         .def_property_readonly("runs", &StopAction::runs)
         .def_property_readonly("failures", &StopAction::failures)
         .def("__repr__", [](const StopAction& action) { return "<" + action.describe() + ">"; });
@@ -342,6 +355,7 @@ void defineStopActions(py::module_& module) {
         }))
         .def("order",
              [](WriteBytes& action, const axon::Task& task, const py::bytes& bytes) {
+                 checkProcessOfTasks();
                  const std::string order = bytes;
                  const py::gil_scoped_release others;
                  return action.order([&] { return task.stopRequested(); }, order);
@@ -354,23 +368,57 @@ void defineStopActions(py::module_& module) {
         }));
 }
 
+/// A guard, for the process that has made it. A fork of that process has the same connection to the guard, so
+/// whatever it did would be done in the name of the other: it would end the guarding, or beat for a process
+/// that is frozen.
+class OwnGuard {
+  public:
+    explicit OwnGuard(axon::DeviceGuard::Options options)
+        : guard_(std::make_unique<axon::DeviceGuard>(std::move(options))) {}
+    OwnGuard(const OwnGuard&) = delete;
+    OwnGuard& operator=(const OwnGuard&) = delete;
+    ~OwnGuard() {
+        if (::getpid() != process_) {
+            (void)guard_.release();
+            return;
+        }
+        const py::gil_scoped_release others;  // it waits for the guard's end
+        guard_.reset();
+    }
+    axon::DeviceGuard& get() const {
+        if (::getpid() != process_)
+            throw ForkedError(
+                "this process is a fork of the one to which the guard belongs; fix: make a DeviceGuard in "
+                "this process, or start other processes with subprocess or "
+                "multiprocessing.get_context('spawn')");
+        return *guard_;
+    }
+
+  private:
+    const pid_t process_ = ::getpid();
+    std::unique_ptr<axon::DeviceGuard> guard_;
+};
+
 void defineGuard(py::module_& module) {
-    using axon::DeviceGuard;
-    py::class_<DeviceGuard>(module, "DeviceGuard",
-                            "A process beside this one that stops the device when this one freezes or dies.")
+    py::class_<OwnGuard>(module, "DeviceGuard",
+                         "A process beside this one that stops the device when this one freezes or dies.")
         .def(py::init([](const std::string& device, const py::bytes& stop, double silence) {
-                 DeviceGuard::Options options;
+                 axon::DeviceGuard::Options options;
                  options.device = device;
                  options.stop = stop;
                  options.silence = std::chrono::milliseconds(static_cast<std::int64_t>(silence * 1000));
-                 return std::make_unique<DeviceGuard>(std::move(options));
+                 return std::make_unique<OwnGuard>(std::move(options));
              }),
              py::arg("device"), py::kw_only(), py::arg("stop"), py::arg("silence") = 0.2)
-        .def("watch", &DeviceGuard::watch, py::arg("fd"), Others())
-        .def("beat", &DeviceGuard::beat, Others())
-        .def_property_readonly("stopped", &DeviceGuard::stopped)
-        .def("release", &DeviceGuard::release, Others())
-        .def_property_readonly("pid", &DeviceGuard::pid);
+        .def(
+            "watch", [](const OwnGuard& guard, int fd) { return guard.get().watch(fd); }, py::arg("fd"),
+            Others())
+        .def(
+            "beat", [](const OwnGuard& guard) { return guard.get().beat(); }, Others())
+        .def_property_readonly("stopped", [](const OwnGuard& guard) { return guard.get().stopped(); })
+        .def(
+            "release", [](const OwnGuard& guard) { guard.get().release(); }, Others())
+        .def_property_readonly("pid", [](const OwnGuard& guard) { return guard.get().pid(); });
 }
 
 }  // namespace

@@ -374,6 +374,76 @@ def test_a_guard_stops_the_device_of_a_killed_program(start):
     assert robot.line() == "GUARD"
 
 
+@pytest.mark.parametrize("end", ["sys.exit(0)", "del guard; gc.collect(); sys.exit(0)", "[refused(use) for use in uses]; sys.exit(0)"])
+def test_a_fork_can_neither_use_nor_end_the_guard(start, end):
+    robot = start(f"""
+        import gc
+        guard = axon_entity.DeviceGuard("device", stop=b"GUARD\\n", silence=5)
+        assert guard.watch(DEVICE)
+        uses = [guard.beat, guard.release, lambda: guard.watch(DEVICE), lambda: guard.stopped, lambda: guard.pid]
+        def refused(use):
+            try:
+                use()
+            except axon_entity.ForkedError:
+                return
+            os._exit(1)
+        child = os.fork()
+        if child == 0:
+            {end}
+        say("status %d" % os.waitpid(child, 0)[1])
+        say("guarded: %s" % guard.beat())
+        signal.pause()
+    """)
+    assert robot.line() == "status 0"
+    assert robot.line() == "guarded: True"
+    robot.child.kill()
+    assert robot.line() == "GUARD"
+
+
+def test_a_fork_gives_no_orders(start, ports):
+    robot = start("""
+        line = native.write_bytes(DEVICE, b"STOP\\n")
+        entity.on_stop(line)
+        @entity.service("Go")
+        def go(task):
+            warnings.simplefilter("ignore")
+            child = os.fork()
+            if child == 0:
+                for use in (lambda: task.order(line, b"ORDER\\n"), line.carry_out, lambda: task.wait(1), task.wait_while_paused):
+                    try:
+                        use()
+                    except axon_entity.ForkedError:
+                        continue
+                    os._exit(1)
+                os._exit(0)
+            say("status %d" % os.waitpid(child, 0)[1])
+        entity.run()
+    """)
+    robot.link(ports).run("Go").expect_succeeded()
+    assert robot.line() == "status 0"
+
+
+def test_a_start_that_fails_leaves_no_folder(start, tmp_path):
+    robot = start(f"""
+        import tempfile
+        tempfile.tempdir = {str(tmp_path)!r}
+        entity.service("Go")(lambda: None)
+        entity.start()
+        taken = axon_entity.Entity("Taken", category="MACHINE", ports=(entity.port, entity.port))
+        taken.service("Go")(lambda: None)
+        try:
+            taken.start()
+        except axon_entity.Misconfiguration as error:
+            say("fix: " if "fix: " in str(error) else str(error))
+        say(str(len(os.listdir(tempfile.tempdir))))
+        entity.shutdown()
+        say(str(len(os.listdir(tempfile.tempdir))))
+    """)
+    assert robot.line() == "fix:"
+    assert robot.line() == "1"
+    assert robot.line() == "0"
+
+
 def turntable(start, ports, tmp_path, lost):
     """The example 06_device on the test's own line to a motor, with a device thread that finds the motor lost as `lost` says."""
     (tmp_path / "ports.cfg").write_text(f"Axon.Ports = {ports[0]}-{ports[1]}\n")
