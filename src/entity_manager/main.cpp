@@ -54,6 +54,7 @@ int main(int argc, char** argv) {
                                                    [](const std::string& line) { spdlog::warn("{}", line); });
         AuditedJournal audited(journal, audit::orNone(trail.get()),
                                storage.load(kUuidKey).value_or(std::string()));
+        Journal& its_journal = trail ? static_cast<Journal&>(audited) : journal;
         asio::thread_pool executor(1);
         // It beats for the robot application, whose watchdog is the shortest: not behind what else wants the
         // processor.
@@ -63,7 +64,7 @@ int main(int argc, char** argv) {
             transport::routerProxy(*ice->data(), options.server.router);  // or a fix
         const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,
                                                    EntityManager::overTcp(options.back_end, random), clock,
-                                                   random, storage, resources, &audited);
+                                                   random, storage, resources, &its_journal);
         audited.setEntity(manager->uuid());
         for (const auto& finding : journal.findings()) spdlog::warn("{}", finding);
 

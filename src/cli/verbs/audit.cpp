@@ -7,6 +7,7 @@
 #include "audit/note.hpp"
 #include "audit/reader.hpp"
 #include "cli/holding.hpp"
+#include "cli/words.hpp"
 
 // axon audit
 namespace axon::cli {
