@@ -40,11 +40,11 @@ struct Audit : testing::Test {
     }
     /// The numbers of the records that are shown.
     std::vector<int> shown(std::vector<std::string> words) {
-        seen.all.clear();
+        seen.events.clear();
         words.insert(words.begin(), {"show", "--folder", folder.path.string()});
         EXPECT_EQ(axon(words), kDone);
         std::vector<int> numbers;
-        for (const auto& event : seen.all)
+        for (const auto& event : seen.events)
             if (event.at("event") == "audit_record") numbers.push_back(event.at("n"));
         return numbers;
     }
