@@ -26,12 +26,15 @@ const audit::Note kStop{.kind = audit::Kind::Stop,
                         .outcome = "OK"};
 
 /// One by one with a pause between them, as stops come, or all at once.
-void measure(const char* what, audit::AuditTrail& trail, int notes, std::chrono::microseconds pause) {
+void measure(const char* what, audit::AuditTrail& trail, audit::Kind kind, int notes,
+             std::chrono::microseconds pause) {
+    auto note = kStop;
+    note.kind = kind;
     std::vector<double> ns;
     ns.reserve(static_cast<std::size_t>(notes));
     for (int i = 0; i < notes; ++i) {
         const auto begin = Clock::now();
-        trail.note(kStop);
+        trail.note(note);
         ns.push_back(std::chrono::duration<double, std::nano>(Clock::now() - begin).count());
         if (pause.count() > 0) std::this_thread::sleep_for(pause);
     }
@@ -51,12 +54,15 @@ int main(int argc, char** argv) {
     if (::mkdtemp(name.data()) == nullptr) return 1;
     audit::TrailSettings settings;
     settings.folder = name;
-    measure("without a trail", audit::orNone(nullptr), notes, {});
+    measure("without a trail", audit::orNone(nullptr), audit::Kind::Stop, notes, {});
     {
         audit::Trail trail(settings, "bench", "",
                            [](const std::string& line) { std::fprintf(stderr, "%s\n", line.c_str()); });
-        measure("its thread sleeps", trail, notes / 20, std::chrono::milliseconds{1});
-        measure("its thread writes, or full", trail, notes, {});
+        measure("stop, its thread sleeps", trail, audit::Kind::Stop, notes / 20,
+                std::chrono::milliseconds{1});
+        measure("log-in, its thread sleeps", trail, audit::Kind::Login, notes / 20,
+                std::chrono::milliseconds{1});
+        measure("stop, its thread writes", trail, audit::Kind::Stop, notes, {});
     }
     std::filesystem::remove_all(name);
     return 0;

@@ -71,6 +71,7 @@ void Trail::note(const Note& note) {
     } else if (!ring_.push(note, wallTimeUs())) {
         lost_.fetch_add(1, std::memory_order_relaxed);
     }
+    if (note.kind == Kind::Stop) return;  // the thread finds it within kLook; waking it costs a stop too much
     // A system call only where its thread sleeps. The exchange orders this after the push, and the thread
     // looks into the queue after its own exchange: one of the two sees the other.
     if (sleeping_.exchange(false)) wake_up_.wake();
@@ -93,7 +94,7 @@ void Trail::run() {
         if (ending_) return;
         // The rest of a record that fitted in part does not wait for the next one.
         const bool whole = files_.finish();
-        waitFor(whole ? -1 : static_cast<int>(settings_.retry_first.count()));
+        waitFor(static_cast<int>((whole ? kLook : std::max(kLook, settings_.retry_first)).count()));
         sleeping_.exchange(false);
     }
 }
@@ -139,11 +140,9 @@ bool Trail::failed() {
     return true;
 }
 
-/// Or until it is woken; -1: until then.
+/// Or until it is woken.
 void Trail::waitFor(int milliseconds) {
     pollfd wanted{wake_up_.fd(), POLLIN, 0};
-    // Where the process had no descriptor left it cannot be woken.
-    if (!wake_up_.open() && milliseconds < 0) milliseconds = 100;
     ::poll(&wanted, 1, milliseconds);
     if (!ending_) wake_up_.drain();
 }

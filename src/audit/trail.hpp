@@ -68,6 +68,9 @@ class Trail final : public AuditTrail {
     Ring ring_;
     RateLimit limit_;
     std::atomic<std::uint64_t> lost_{0}, left_out_{0};
+    /// How often its thread looks for stops, which do not wake it.
+    static constexpr std::chrono::milliseconds kLook{10};
+
     std::atomic<bool> sleeping_{false};  // its thread waits to be woken
     std::atomic<bool> ending_{false};
     WakeUp wake_up_;
