@@ -233,12 +233,15 @@ class Task:
         return updates(self._native, self._lab)
 
     async def pause(self) -> None:
+        """As axon.Task.pause()."""
         await in_thread(self._native.pause)
 
     async def resume(self) -> None:
+        """As axon.Task.resume()."""
         await in_thread(self._native.resume)
 
     async def cancel(self) -> None:
+        """As axon.Task.cancel()."""
         await in_thread(self._native.cancel)
 
     def __repr__(self) -> str:
@@ -255,14 +258,17 @@ class Run:
 
     @property
     def id(self) -> str:
+        """As axon.Run.id."""
         return self._native.id
 
     @property
     def report(self) -> RunReport:
+        """As axon.Run.report."""
         return self._native.report()
 
     @property
     def done(self) -> bool:
+        """As axon.Run.done."""
         return self.report.final
 
     async def wait(self, timeout: Optional[float] = None) -> RunReport:
@@ -281,12 +287,15 @@ class Run:
         return updates(self._native, self._lab)
 
     async def pause(self) -> None:
+        """As axon.Run.pause()."""
         await in_thread(self._native.pause)
 
     async def resume(self) -> None:
+        """As axon.Run.resume()."""
         await in_thread(self._native.resume)
 
     async def cancel(self) -> None:
+        """As axon.Run.cancel()."""
         await in_thread(self._native.cancel)
 
 
@@ -389,17 +398,21 @@ class Robot:
 
     @property
     def entity(self) -> Entity:
+        """As axon.Robot.entity."""
         return self._native.entity()
 
     @property
     def name(self) -> str:
+        """As axon.Robot.name."""
         return self.entity.name
 
     @property
     def services(self) -> List[Service]:
+        """As axon.Robot.services."""
         return self._native.services()
 
     def service(self, name: str) -> Service:
+        """As axon.Robot.service()."""
         return self._native.service(name)
 
     def start(self, service: str, parameters: Optional[Mapping[str, Argument]] = None, /, *, not_after: float = 0.0,
@@ -419,6 +432,7 @@ class Robot:
             raise
 
     async def set(self, service: str, parameters: Optional[Mapping[str, Argument]] = None, /, **named: Argument) -> None:
+        """As axon.Robot.set()."""
         for name, values, units in arguments(parameters, named):
             await in_thread(lambda name=name, values=values, units=units: self._native.set(service, name, values, units))  # type: ignore[misc]
 
@@ -446,9 +460,11 @@ class Robot:
         return self.stream(name)
 
     async def send_text(self, text: str) -> None:
+        """As axon.Robot.send_text()."""
         await in_thread(lambda: self._native.send_text(text))
 
     async def send_raw(self, data: bytes, wait: float = 0.0) -> None:
+        """As axon.Robot.send_raw()."""
         copy = bytes(data)
         await in_thread(lambda: self._native.send_raw(copy, seconds("wait", wait) or 0.0))
 
@@ -461,6 +477,7 @@ class Robot:
         return self._told("on_raw", 4096)
 
     def service_changes(self) -> AsyncIterator[Service]:
+        """Services that become active or inactive, or whose parameters change, from now on."""
         return self._told("on_service_changed", 0)
 
     def hand_over_requests(self) -> AsyncIterator[HandOverRequest]:
@@ -491,23 +508,29 @@ class Robot:
 
     @property
     def orphaned(self) -> bool:
+        """As axon.Robot.orphaned."""
         return self._native.orphaned()
 
     @property
     def direct(self) -> bool:
+        """As axon.Robot.direct."""
         return self._native.direct()
 
     @property
     def hand_over_request(self) -> Optional[HandOverRequest]:
+        """As axon.Robot.hand_over_request."""
         return self._native.hand_over_request()
 
     async def answer_hand_over(self, accept: bool, reason: str = "") -> None:
+        """As axon.Robot.answer_hand_over()."""
         await in_thread(lambda: self._native.answer_hand_over(bool(accept), reason))
 
     async def set_hand_over_policy(self, policy: HandOverPolicy) -> None:
+        """As axon.Robot.set_hand_over_policy()."""
         await in_thread(lambda: self._native.set_hand_over_policy(policy))
 
     def ticket(self) -> str:
+        """As axon.Robot.ticket()."""
         return self._native.ticket()
 
     async def stop(self, deadline: float = 1.0, standstill: float = 0.0) -> Receipt:
@@ -515,15 +538,19 @@ class Robot:
         return (await self._lab.stop(self, deadline=deadline, standstill=standstill))[0]
 
     async def rearm(self) -> None:
+        """As axon.Robot.rearm()."""
         await self._lab.rearm(self)
 
     async def reset(self) -> Receipt:
+        """As axon.Robot.reset()."""
         return await in_thread(self._native.reset)
 
     async def clear(self) -> Receipt:
+        """As axon.Robot.clear()."""
         return await in_thread(self._native.clear)
 
     async def release(self) -> None:
+        """As axon.Robot.release()."""
         await in_thread(self._native.release)
 
     async def __aenter__(self) -> Robot:
@@ -548,6 +575,7 @@ class Robots(List[Robot]):
         await asyncio.shield(asyncio.gather(*(robot.__aexit__() for robot in self)))
 
     async def stop(self, deadline: float = 1.0, standstill: float = 0.0) -> Receipts:
+        """As axon.Robots.stop()."""
         return await self[0]._lab.stop(*self, deadline=deadline, standstill=standstill) if self else Receipts()
 
 
@@ -569,14 +597,17 @@ class Lab:
 
     @property
     def connected(self) -> bool:
+        """As axon.Lab.connected."""
         return self._native.connected()
 
     @property
     def me(self) -> Sender:
+        """As axon.Lab.me."""
         return self._native.self()
 
     @property
     def server(self) -> str:
+        """As axon.Lab.server."""
         return self._native.server()
 
     @property
@@ -589,12 +620,15 @@ class Lab:
         self._native.set_present(somebody)
 
     def entities(self, all: bool = False) -> Entities:  # pylint: disable=redefined-builtin
+        """As axon.Lab.entities()."""
         return Entities(self._native.entities(all))
 
     def find(self, name: str) -> Entity:
+        """As axon.Lab.find()."""
         return self._native.find(name)
 
     async def wait_for(self, name: str, timeout: float = 10.0) -> Entity:
+        """As axon.Lab.wait_for()."""
         give_up = _native.GiveUp()
         return await in_thread(lambda: self._native.wait_for(name, seconds("timeout", timeout) or 0.0, give_up), give_up)
 
@@ -676,11 +710,13 @@ class Lab:
         return Pending(call)
 
     async def resume(self, ticket: str) -> Robot:
+        """As axon.Lab.resume()."""
         give_up = _native.GiveUp()
         natives = await in_thread(lambda: granted_by(lambda granted: self._native.resume(ticket, give_up, granted)), give_up, release_all)
         return self._robot(natives[0], new=True)
 
     def held(self) -> Robots:
+        """As axon.Lab.held()."""
         return Robots(self._robot(native, new=False) for native in self._native.held())
 
     def _robot(self, native: _native.CheckOut, new: bool) -> Robot:
@@ -697,39 +733,50 @@ class Lab:
                                                                   seconds("standstill", standstill) or 0.0, _native.GiveUp())))
 
     async def drill(self, *entities: Any, count: int = 1, period: float = 0.1) -> List[DrillReport]:
+        """As axon.Lab.drill()."""
         names, give_up = names_of(entities), _native.GiveUp()
         return await in_thread(lambda: self._native.drill(names, count, seconds("period", period) or 0.0, give_up), give_up)
 
     async def rearm(self, entity: Any) -> None:
+        """As axon.Lab.rearm()."""
         await in_thread(lambda: self._native.rearm(name_of(entity)))
 
     async def services(self, entity: Any) -> List[Service]:
+        """As axon.Lab.services()."""
         return await in_thread(lambda: self._native.services(name_of(entity)))
 
     async def details(self, entity: Any) -> Details:
+        """As axon.Lab.details()."""
         return await in_thread(lambda: self._native.details(name_of(entity)))
 
     def stream(self, entity: Any, name: str, limit: int = 64) -> Stream:
+        """As axon.Lab.stream()."""
         return Stream(self, name_of(entity), name, limit)
 
     async def global_services(self) -> GlobalServices:
+        """As axon.Lab.global_services()."""
         return await in_thread(self._native.global_services)
 
     async def global_service(self, name: str) -> GlobalService:
+        """As axon.Lab.global_service()."""
         return global_service(await self.global_services(), name)
 
     async def propose(self, service: GlobalService, chosen: Optional[Mapping[int, Any]] = None) -> Proposal:
+        """As axon.Lab.propose()."""
         return await in_thread(lambda: self._native.propose(service, bindings_of(chosen or {})))
 
     async def run_global(self, service: GlobalService, bindings: Union[Mapping[int, Any], Proposal], master: Any = None) -> Run:
+        """As axon.Lab.run_global()."""
         bound = bindings_of(bindings)
         return Run(await in_thread(lambda: self._native.run_global(service, bound, master_of(bound, master), False)), self)
 
     async def check_global(self, service: GlobalService, bindings: Union[Mapping[int, Any], Proposal], master: Any = None) -> Run:
+        """As axon.Lab.check_global()."""
         bound = bindings_of(bindings)
         return Run(await in_thread(lambda: self._native.run_global(service, bound, master_of(bound, master), True)), self)
 
     async def run_history(self, *entities: Any, most: int = 0) -> RunHistory:
+        """As axon.Lab.run_history()."""
         names = names_of(entities)
         return await in_thread(lambda: self._native.run_history(names, most))
 

@@ -275,14 +275,17 @@ class Run:
 
     @property
     def id(self) -> str:
+        """UUID of the run."""
         return self._native.id
 
     @property
     def report(self) -> RunReport:
+        """The newest report."""
         return self._native.report()
 
     @property
     def done(self) -> bool:
+        """True if it has ended, well or not."""
         return self.report.final
 
     def wait(self, timeout: Optional[float] = None) -> RunReport:
@@ -311,6 +314,7 @@ class Run:
         self._native.resume()
 
     def cancel(self) -> None:
+        """Ends it: every step that runs is cancelled."""
         self._native.cancel()
 
     def timeline(self) -> List[Tuple[str, str, Optional[float], Optional[float]]]:
@@ -454,6 +458,7 @@ class Watch:
         return self._feed.dropped
 
     def close(self) -> None:
+        """Ends it. Samples that have arrived can still be taken."""
         self._handle = None  # a child of fork() leaves what it watches to its parent
         if self._lab._native.of_this_process():
             self._feed.close()
@@ -533,14 +538,17 @@ class Robot:
 
     @property
     def entity(self) -> Entity:
+        """What is known of it now."""
         return self._native.entity()
 
     @property
     def name(self) -> str:
+        """The name of the entity."""
         return self.entity.name
 
     @property
     def services(self) -> List[Service]:
+        """Its services, with their parameters and units."""
         return self._native.services()
 
     def service(self, name: str) -> Service:
@@ -597,6 +605,7 @@ class Robot:
         return self.stream(name)
 
     def send_text(self, text: str) -> None:
+        """Sends a text to the robot application. Refused with OVERLOADED if the send queue is full."""
         self._native.send_text(text)
 
     def send_raw(self, data: bytes, wait: float = 0.0) -> None:
@@ -606,12 +615,15 @@ class Robot:
         self._native.send_raw(bytes(data), seconds("wait", wait) or 0.0)
 
     def on_text(self, callback: Callable[[str], None]) -> None:
+        """Called with every text that the robot application sends to its holder."""
         self._on("on_text", callback)
 
     def on_raw(self, callback: Callable[[bytes], None]) -> None:
+        """Called with every block of bytes that the robot application sends to its holder."""
         self._on("on_raw", callback)
 
     def on_service_changed(self, callback: Callable[[Service], None]) -> None:
+        """Called with a service that has become active or inactive, or whose parameters have changed."""
         self._on("on_service_changed", callback)
 
     def on_lost(self, callback: Callable[[Refusal], None]) -> None:
@@ -655,6 +667,7 @@ class Robot:
         self._native.answer_hand_over(bool(accept), reason)
 
     def set_hand_over_policy(self, policy: HandOverPolicy) -> None:
+        """Says how many seconds this program has to answer a request for this entity, and what follows without an answer."""
         self._native.set_hand_over_policy(policy)
 
     def ticket(self) -> str:
@@ -791,6 +804,7 @@ class Lab:
 
     @property
     def connected(self) -> bool:
+        """False from the loss of the connection until it is there again."""
         return self._native.connected()
 
     @property

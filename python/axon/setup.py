@@ -35,15 +35,15 @@ class Build(build_ext):
         shutil.copy(build / "refusals.py", target.parent)
 
 
-def licence():
-    """The text of the licence, which setuptools packs: a copy of that of the project, in an sdist the one that is there."""
+def make_licence():
+    """COPYING, which setuptools packs (pyproject.toml): a copy of the project's, in an sdist the one that is there."""
     text = HERE.parent.parent / "LICENSES" / "GPL-2.0-or-later.txt"
     if text.is_file():
         shutil.copyfile(text, HERE / "COPYING")
     elif not (HERE / "COPYING").is_file():
         raise SystemExit(f"the text of the licence was expected at {text}; fix: install from the sources or an sdist")
-    return ["COPYING"]
 
 
-setup(version=version(), license_files=licence(), packages=["axon"], package_dir={"axon": "."}, package_data={"axon": ["py.typed", "*.pyi"]},
+make_licence()
+setup(version=version(), packages=["axon"], package_dir={"axon": "."}, package_data={"axon": ["py.typed", "*.pyi"]},
       ext_modules=[Extension("axon._native", [])], cmdclass={"build_ext": Build})

@@ -131,7 +131,9 @@ def test_a_stop_is_confirmed_latches_and_is_rearmed(laboratory, client, take, dr
     robot = take(client())
     task = drive(robot, entity)
     receipt = robot.stop()
-    assert receipt.confirmed and receipt.server is not None
+    assert receipt.confirmed
+    # Behind routers the server's answer takes another way than the Entity Manager's, which ends the waiting.
+    assert receipt.server is not None or laboratory.behind_routers
     assert entity.do("expect_stop")["cause"] == "REQUESTED"
     assert task.wait(5).state == TaskState.STOPPED
     with refused(Code.STOPPED) as told:

@@ -259,6 +259,8 @@ class Cluster:
 class ClusterLaboratory:
     """What one test has in the cluster: its robots, and a valve before the router."""
 
+    behind_routers = True
+
     def __init__(self, cluster, folder):
         self.cluster = cluster
         self.folder = pathlib.Path(folder)

@@ -69,6 +69,8 @@ class Entity:
 class Laboratory:
     """The program axon-test-laboratory. With `at_once` scripts take no real time."""
 
+    behind_routers = False
+
     def __init__(self, folder, at_once=True):
         self.folder = pathlib.Path(folder)
         self.child = subprocess.Popen([TEST_BIN / "axon-test-laboratory", *(["--at-once"] if at_once else [])], text=True,

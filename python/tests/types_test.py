@@ -7,6 +7,8 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 import axon
 import axon.aio
 from axon import _native, states
@@ -44,6 +46,16 @@ print(plain(), asyncio.run(coroutine()), axon.RefusalCode.LATCHED.name)
     assert done.returncode == 0, done.stdout + done.stderr
     done = subprocess.run([sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path), str(user)], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("module", [axon.client, axon.aio], ids=lambda module: module.__name__)
+def test_every_public_name_has_a_docstring(module):
+    for name in ("Lab", "Robot", "Robots", "Run", "Stream", "Task"):
+        kind = getattr(module, name)
+        assert inspect.getdoc(kind), name
+        for member, value in vars(kind).items():
+            if not member.startswith("_") and (callable(value) or isinstance(value, property)):
+                assert inspect.getdoc(value), f"{name}.{member}"
 
 
 def test_the_stub_has_what_the_native_module_has():

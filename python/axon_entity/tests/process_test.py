@@ -378,7 +378,7 @@ def test_a_guard_stops_the_device_of_a_killed_program(start):
 def test_a_fork_can_neither_use_nor_end_the_guard(start, end):
     robot = start(f"""
         import gc
-        guard = axon_entity.DeviceGuard("device", stop=b"GUARD\\n", silence=5)
+        guard = axon_entity.DeviceGuard("device", stop=b"GUARD\\n", silence=10)
         assert guard.watch(DEVICE)
         uses = [guard.beat, guard.release, lambda: guard.watch(DEVICE), lambda: guard.stopped, lambda: guard.pid]
         def refused(use):
@@ -390,7 +390,10 @@ def test_a_fork_can_neither_use_nor_end_the_guard(start, end):
         child = os.fork()
         if child == 0:
             {end}
-        say("status %d" % os.waitpid(child, 0)[1])
+        while (ended := os.waitpid(child, os.WNOHANG)) == (0, 0):
+            guard.beat()
+            pause(0.01)
+        say("status %d" % ended[1])
         say("guarded: %s" % guard.beat())
         signal.pause()
     """)
