@@ -13,6 +13,7 @@ const QUALITY = 82;
 mkdirSync(to, { recursive: true });
 const map = join(ROOT, "lab/worlds/transport.map");
 const house = await House.open({ globalServices: join(ROOT, "lab/globalservices"), transport: true });
+house.patienceMs = 60_000; // a whole laboratory runs beside the browser
 
 /** Documented ones have a short name. */
 async function take(page, name, { look = "desktop_light", documented = false } = {}) {
@@ -33,7 +34,6 @@ async function visit(path, name, ready = async () => {}) {
         ["wide", "light", 3840, 2160],
     ]) {
         const page = await house.person({ name: "client2", width, height, scheme, path });
-        page.setDefaultTimeout(30_000);
         await page.locator("main h1").waitFor();
         await ready(page);
         await page.waitForTimeout(1500);
@@ -47,7 +47,6 @@ try {
     house.startGreeter();
     house.lab.startEntity("plotter-entity", "Plotter", [join(ROOT, "examples/03_parameters"), house.lab.portsFile]);
     const first = await house.person({ name: "client1", width: 1440, height: 900 });
-    first.setDefaultTimeout(60_000);
     await first.locator("[data-entity=PeopleBot2]").waitFor();
     for (const name of ["PeopleBot", "PeopleBot2"]) {
         await openEntity(first, name);
@@ -80,7 +79,6 @@ try {
     await visit(hash, "entity", (page) => page.locator("[data-service]").waitFor());
 
     const second = await house.person({ name: "client2", width: 1440, height: 900 });
-    second.setDefaultTimeout(60_000);
     await goTo(second, hash);
     await second.getByRole("button", { name: "Wait in line" }).click();
     await wait(second, "You are number 1 in line.");
@@ -107,7 +105,6 @@ try {
     await visit("#/collaboration", "collaboration");
 
     const phone = await house.person({ name: "phone", width: 360, height: 740, scheme: "dark", path: "#/stop" });
-    phone.setDefaultTimeout(30_000);
     await phone.locator("main .rows .danger").first().waitFor();
     await take(phone, "stop_before", { look: "phone_dark" });
     await phone.locator(".dock .stop").click();

@@ -122,7 +122,7 @@ function RunCard({ its: { run, at, report, service } }: { readonly its: Running 
     const ask = (what: string, act: () => Promise<void>): void => void act().catch((error: unknown) => refused(`${service.name} was not ${what}`, error));
     const those = [...new Set([report.master, ...report.steps.map(({ entity }) => entity)])];
     return (
-        <section class={`card run ${tone}`} data-run={report.state} aria-label={`${report.check ? "Check" : "Run"} of ${service.name}`}>
+        <section class={`card run ${tone} ${open && !reachable.value ? "stale" : ""}`} data-run={report.state} aria-label={`${report.check ? "Check" : "Run"} of ${service.name}`}>
             <div class="head">
                 <h3>
                     {report.check ? "Check of " : ""}
@@ -401,6 +401,7 @@ export function CollaborationPage(): preact.JSX.Element {
                 </ServerButton>
             </div>
             {trouble !== "" && <p class="bad">{trouble}</p>}
+            {found === undefined && trouble === "" && <p class="quiet">Asking the server which jobs there are …</p>}
             {runs.value.length > 0 && (
                 <section class="stack" aria-label="Runs of this page">
                     {runs.value.map((one) => (

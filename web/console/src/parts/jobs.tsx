@@ -3,6 +3,7 @@ import { isFinalTask } from "@axon/client";
 import { now } from "../state/clock";
 import type { Hold, Job } from "../state/holds";
 import { refused } from "../state/journal";
+import { reachable } from "../state/session";
 import { formatClock, formatMs, formatPercent, formatSpan, formatValues } from "../words/format";
 import { plainTask, remedyOf, sentence } from "../words/words";
 import { ServerButton } from "./server_button";
@@ -16,7 +17,7 @@ function JobCard({ hold, job }: { readonly hold: Hold; readonly job: Job }): pre
     const ask = (what: string, act: () => Promise<void>): void => void act().catch((error: unknown) => refused(`${job.service} was not ${what}`, error, hold.entity));
     const ended = job.endedAt.value;
     return (
-        <li class={`job ${tone}`} data-task={report.state}>
+        <li class={`job ${tone} ${open && !reachable.value ? "stale" : ""}`} data-task={report.state}>
             <div class="head">
                 <strong>{job.service}</strong>
                 <Badge tone={tone} title={long}>

@@ -24,6 +24,8 @@ export class House {
     complaints = [];
     foreign = [];
     contexts = [];
+    /** For a page, and for each thing that is looked for on it. */
+    patienceMs = 8000;
 
     /** With `transport`, the virtual laboratory runs first; a slow machine wants AXON_LAB_SPEED below 1, and everything takes the laboratory's time. */
     static async open({ users, globalServices, config = "", transport = false } = {}) {
@@ -94,7 +96,7 @@ export class House {
         const context = await browser.newContext({ viewport: { width, height }, colorScheme: scheme, locale });
         this.contexts.push(context);
         const page = await context.newPage();
-        page.setDefaultTimeout(8000);
+        page.setDefaultTimeout(this.patienceMs);
         page.on("pageerror", (error) => this.complaints.push(error.message));
         page.on("console", (message) => message.type() === "error" && !/Failed to load resource|WebSocket connection/.test(message.text()) && this.complaints.push(message.text()));
         page.on("dialog", (dialog) => (this.complaints.push(`a dialog: ${dialog.message()}`), dialog.dismiss()));
