@@ -102,7 +102,9 @@ fs::path Files::fileOf(std::uint64_t number) const {
 }
 
 bool Files::open() {
-    return lock() && (file_ != 0 || findEnd()) && openFile(std::max<std::uint64_t>(file_, 1));
+    if (!lock() || (file_ == 0 && !findEnd()) || !openFile(std::max<std::uint64_t>(file_, 1))) return false;
+    deleteOld();
+    return true;
 }
 
 bool Files::lock() {
@@ -189,6 +191,22 @@ bool Files::openFile(std::uint64_t number) {
     return true;
 }
 
+/// The lowest number first, and none behind one that cannot be deleted: what is left has no gap. It is tried
+/// again with the next file.
+void Files::deleteOld() const {
+    const auto kept = static_cast<std::uint64_t>(std::max(bounds_.files, 1));
+    if (file_ <= kept) return;
+    try {
+        const auto files = trailFiles(folder_)[name_];
+        for (const auto& [number, path] : files) {
+            std::error_code failed;
+            if (number > file_ - kept || (!fs::remove(path, failed) && failed)) return;
+        }
+    } catch (const fs::filesystem_error&) {
+        return;  // the folder cannot be read now
+    }
+}
+
 bool Files::append(Record record) {
     if ((!fd_.open() && !open()) || !finish()) return false;
     record.number = number_ + 1;
@@ -197,11 +215,8 @@ bool Files::append(Record record) {
     auto hash = hashOf(line);
     line += '\n';
     if (size_ > 0 && size_ + line.size() > bounds_.bytes) {
-        const auto before = file_;
-        if (!openFile(before + 1)) return false;
-        const auto kept = static_cast<std::uint64_t>(std::max(bounds_.files, 1));
-        std::error_code ignored;
-        if (file_ > kept) fs::remove(fileOf(file_ - kept), ignored);
+        if (!openFile(file_ + 1)) return false;
+        deleteOld();
     }
     if (!append(std::move(line))) return false;
     ++number_;

@@ -80,6 +80,34 @@ TEST_F(AuditFiles, ANewFileGoesOnWithTheChainAndTheOldestIsDeleted) {
     EXPECT_EQ(chain.last - chain.first + 1, chain.records);
 }
 
+TEST_F(AuditFiles, FewerFilesThanBeforeAreKeptFromTheNextLifeOn) {
+    bounds = {1000, 8};
+    const auto fill = [this](int records) {
+        Files files(folder.path, "server", bounds);
+        for (int i = 0; i < records; ++i) ASSERT_TRUE(files.append(record(std::string(100, 'x'))));
+    };
+    fill(60);
+    ASSERT_EQ(trailFiles(folder.path).at("server").size(), 8U);
+    bounds.files = 2;
+    fill(0);
+    EXPECT_EQ(trailFiles(folder.path).at("server").size(), 2U);
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+    fill(30);
+    EXPECT_EQ(trailFiles(folder.path).at("server").size(), 2U);
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+}
+
+// What a kill between the next file and the deletion leaves, or a deletion that has failed.
+TEST_F(AuditFiles, AnOldFileThatIsLeftIsDeletedWithTheNext) {
+    bounds = {10, 2};
+    Files files(folder.path, "server", bounds);
+    for (int i = 0; i < 4; ++i) ASSERT_TRUE(files.append(record("a")));
+    folder.write("server.1.jsonl", "left\n");
+    ASSERT_TRUE(files.append(record("a")));
+    EXPECT_FALSE(fs::exists(folder.path / "server.1.jsonl"));
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+}
+
 TEST_F(AuditFiles, ARecordThatIsLargerThanAFileIsWrittenAllTheSame) {
     bounds = {10, 2};
     Files files(folder.path, "server", bounds);
