@@ -246,6 +246,53 @@ TEST_F(AuditFiles, AFolderThatCannotBeUsedIsNamedWithTheFix) {
     EXPECT_THROW(Files(folder.path, "pipe", bounds), std::runtime_error);
 }
 
+TEST_F(AuditFiles, AFolderOrFileThatOthersMayWriteToIsRefused) {
+    const auto complaint = [this] {
+        try {
+            const Files files(folder.path, "server", bounds);
+        } catch (const std::runtime_error& error) {
+            return std::string(error.what());
+        }
+        return std::string();
+    };
+    for (const auto mode : {0720U, 0702U, 0777U}) {
+        ASSERT_EQ(::chmod(folder.path.c_str(), mode), 0);
+        EXPECT_THAT(complaint(), HasSubstr("fix: chmod 700 " + folder.path.string()));
+    }
+    ASSERT_EQ(::chmod(folder.path.c_str(), 0755), 0);
+    EXPECT_EQ(complaint(), "");
+    const auto file = folder.path / "server.1.jsonl";
+    ASSERT_EQ(::chmod(file.c_str(), 0660), 0);
+    EXPECT_THAT(complaint(), HasSubstr("fix: chmod 600 " + file.string()));
+    ASSERT_EQ(::chmod(file.c_str(), 0600), 0);
+    if (::geteuid() != 0) return;
+    ASSERT_EQ(::chown(file.c_str(), 12345, 12345), 0);
+    EXPECT_THAT(complaint(), HasSubstr("belongs to another user"));
+    ASSERT_EQ(::chown(file.c_str(), 0, 0), 0);
+    ASSERT_EQ(::chown(folder.path.c_str(), 12345, 12345), 0);
+    EXPECT_THAT(complaint(), HasSubstr("belongs to another user"));
+}
+
+TEST_F(AuditFiles, AFileIsOnTheDiskBeforeTheNextBegins) {
+    bounds = {10, 8};
+    int synced = 0;
+    Files files(folder.path, "server", bounds, {}, [&](int fd) {
+        struct stat facts {};
+        EXPECT_EQ(::fstat(fd, &facts), 0);
+        EXPECT_GT(facts.st_size, 10);
+        ++synced;
+        return 0;
+    });
+    files.sync();
+    EXPECT_EQ(synced, 0) << "nothing was written";
+    ASSERT_TRUE(files.append(record("one")));
+    ASSERT_TRUE(files.append(record("two")));
+    EXPECT_EQ(synced, 1);
+    files.sync();
+    files.sync();
+    EXPECT_EQ(synced, 2);
+}
+
 TEST_F(AuditFiles, NoNameIsAPath) {
     EXPECT_EQ(safeName("axon-server_1"), "axon-server_1");
     EXPECT_EQ(safeName("../a.b"), "%2E%2E%2Fa%2Eb");

@@ -51,13 +51,13 @@ std::string fixOf(int error) {
 }  // namespace
 
 Trail::Trail(const TrailSettings& settings, const std::string& name, const std::string& started,
-             Report report, Files::Write write, const Clock* clock)
+             Report report, Files::Write write, const Clock* clock, Files::Sync sync)
     : settings_(settings),
       report_(std::move(report)),
       clock_(clock != nullptr ? *clock : steady_),
       ring_(settings.waiting),
       limit_(settings.per_second),
-      files_(settings.folder, name, settings.files, std::move(write)),
+      files_(settings.folder, name, settings.files, std::move(write), std::move(sync)),
       pause_(settings.retry_first) {
     if (files_.unfinished() > 0)
         report_("audit: the last record of the trail in " + files_.folder().string() +
@@ -90,6 +90,10 @@ void Trail::run() {
         if (const auto now = clock_.now(); ending || now >= losses_again_) {
             losses_again_ = now + kTellLosses;
             if (!writeLosses()) return;
+        }
+        if (const auto now = clock_.now(); ending || now >= sync_again_) {
+            sync_again_ = now + kSync;
+            files_.sync();
         }
         if (ending) return;
         // The rest of a record that fitted in part does not wait for the next one.

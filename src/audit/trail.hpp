@@ -47,7 +47,7 @@ class Trail final : public AuditTrail {
     /// `name`: of the program; `started`: what the first record says, such as its release; `clock`: null for
     /// the steady one.
     Trail(const TrailSettings& settings, const std::string& name, const std::string& started, Report report,
-          Files::Write write = {}, const Clock* clock = nullptr);
+          Files::Write write = {}, const Clock* clock = nullptr, Files::Sync sync = {});
     ~Trail() override;
     Trail(const Trail&) = delete;
     Trail& operator=(const Trail&) = delete;
@@ -73,13 +73,13 @@ class Trail final : public AuditTrail {
     std::atomic<std::uint64_t> lost_{0}, left_out_{0};
     /// How often its thread looks into the queue. A note does not wake it: that can cost more than a stop.
     static constexpr std::chrono::milliseconds kLook{10};
-    static constexpr std::chrono::seconds kTellLosses{1};
+    static constexpr std::chrono::seconds kTellLosses{1}, kSync{1};
 
     std::atomic<bool> ending_{false};
     WakeUp wake_up_;  // for the end only
     // Of its thread only:
     Files files_;
-    TimePoint losses_again_{};  // when they may be told again
+    TimePoint losses_again_{}, sync_again_{};  // when they may be told, and the file synced, again
     bool failing_ = false;
     std::chrono::milliseconds pause_;
     std::thread thread_;  // last: it uses the others

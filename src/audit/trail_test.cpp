@@ -191,6 +191,27 @@ TEST_F(AuditTrailTest, AFloodIsToldOfOnceASecond) {
     EXPECT_LE(lost().size(), 3U);
 }
 
+TEST_F(AuditTrailTest, TheDiskHasWhatWasWrittenWithinASecondAndAtTheEnd) {
+    SharedClock clock;
+    std::atomic<int> synced{0};
+    const auto sync = [&synced](int) { return ++synced, 0; };
+    {
+        Trail trail(settings, "server", "", report(), {}, &clock, sync);
+        EXPECT_TRUE(waitUntil([&] { return synced == 1; })) << "the start";
+        for (std::size_t i = 2; i <= 10; ++i) {
+            trail.note({.kind = Kind::Stop});
+            ASSERT_TRUE(recorded(i));
+        }
+        EXPECT_EQ(synced, 1);
+        clock.advance(1s);
+        EXPECT_TRUE(waitUntil([&] { return synced == 2; }));
+        trail.note({.kind = Kind::Stop});
+        ASSERT_TRUE(recorded(11));
+        EXPECT_EQ(synced, 2);
+    }
+    EXPECT_EQ(synced, 3);
+}
+
 TEST_F(AuditTrailTest, TheFixFitsWhatIsWrong) {
     for (const auto& [failure, fix] : {std::pair{ENOSPC, "fix: make room"},
                                        {EDQUOT, "fix: make room"},
