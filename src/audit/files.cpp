@@ -143,8 +143,9 @@ bool Files::isOurs(const fs::path& path, const struct stat& facts) {
     error_ = EPERM;
     not_ours_ = '\'' + path.string() + '\'';
     if (foreign)
-        not_ours_ += " belongs to another user; expected one of this user or of root; fix: chown it, or name "
-                     "another folder (Axon.Audit.Folder)";
+        not_ours_ +=
+            " belongs to another user; expected one of this user or of root; fix: chown it, or name "
+            "another folder (Axon.Audit.Folder)";
     else
         not_ours_ += std::string(" can be written to by others; fix: chmod ") +
                      (S_ISDIR(facts.st_mode) ? "700 " : "600 ") + path.string();

@@ -28,12 +28,13 @@ std::map<std::string, std::map<std::uint64_t, std::filesystem::path>> trailFiles
 /// and the hash of the line before it, and appends it with one write(2).
 ///
 /// A record that would make a file longer than `bytes` begins the next file; of more than `files` the oldest
-/// are deleted, also those that an earlier life with a higher bound, or a kill, has left. The next life goes on where the last one ended: a line without its end, which a kill or a loss
-/// of power has left, is ended and not cut off, and the hash of the next record covers it.
+/// are deleted, also those that an earlier life with a higher bound, or a kill, has left. The next life goes
+/// on where the last one ended: a line without its end, which a kill or a loss of power has left, is ended
+/// and not cut off, and the hash of the next record covers it.
 ///
 /// Threads: one. It waits for the disk. Failure: where the folder or a file cannot be used, others may write
-/// to it, or another process has the trail, the constructor throws std::runtime_error, with the fix; not where the disk is full
-/// or broken, which append() tries again.
+/// to it, or another process has the trail, the constructor throws std::runtime_error, with the fix; not
+/// where the disk is full or broken, which append() tries again.
 class Files {
   public:
     struct Bounds {

@@ -32,9 +32,9 @@ struct TrailSettings {
 ///
 /// A caller copies its note into a queue, and never waits for the disk. While the disk is full or broken the
 /// queue fills; what does not fit is counted, and the count becomes a record when the disk takes records
-/// again, at most once a second and at the end. The same holds for commands and refusals above `per_second`, so that nobody drives the other
-/// records out of the files by asking for much. Stops, rearms, log-ins, sessions and ownership are not
-/// limited.
+/// again, at most once a second and at the end. The same holds for commands and refusals above `per_second`,
+/// so that nobody drives the other records out of the files by asking for much. Stops, rearms, log-ins,
+/// sessions and ownership are not limited.
 ///
 /// Life: the constructor notes that the program has started; the destructor writes what waits, if the disk
 /// takes it at once. Threads: any; one of its own. Failure: the constructor throws std::runtime_error for a

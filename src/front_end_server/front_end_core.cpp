@@ -246,8 +246,8 @@ void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std
     // A client that may not send droppable data is not told. What is no raw data does not belong here, so its
     // refusal is recorded; those of raw data come many times a second.
     const bool raw = head.msg_type == kMsgRaw;
-    const auto may = !alone() && !server ? Result<void>(unknownEntity(head.entity))
-                                         : mayGoOn(*client, head, data.size());
+    const auto may =
+        !alone() && !server ? Result<void>(unknownEntity(head.entity)) : mayGoOn(*client, head, data.size());
     if (!may.ok()) return raw ? void() : log_.refused(head, may.refusal());
     topic_.clientMsgDataSeq(server ? *server : std::string(), head, data);
     log_.command(head);

@@ -139,8 +139,9 @@ int show(Session& session, const std::string& folder) {
     const auto last = session.args.value("last", std::size_t{0});
     // All trails once before: the trail with the session may come after the one with what was done.
     Known known;
-    requireTrails(folder, audit::readTrails(
-                              folder, {}, [&](const std::string&, const Record& record) { known.add(record); }));
+    requireTrails(folder, audit::readTrails(folder, {}, [&](const std::string&, const Record& record) {
+                      known.add(record);
+                  }));
     filter.know(known);
     std::deque<std::pair<std::string, Record>> found;
     const auto chains = audit::readTrails(folder, {}, [&](const std::string& trail, const Record& record) {
@@ -235,7 +236,8 @@ extern const Verb kAudit{
     {{"action", Takes::Choice, true, false, "show or verify", {"show", "verify"}},
      {"folder_name", Takes::File, false, false, "Folder of the trails"}},
     {{"folder", Takes::File, "Folder of the trails (default /var/lib/axon-server/audit)"},
-     {"entity", Takes::Text, "show: of this entity, by UUID or by the name with which it joined; also stops of all"},
+     {"entity", Takes::Text,
+      "show: of this entity, by UUID or by the name with which it joined; also stops of all"},
      {"user", Takes::Text, "show: of this user, client name or client id"},
      {"kind", Takes::Choice, "show: of this kind", kinds()},
      {"since", Takes::Text, "show: from this time on, in UTC: 2026-11-28T14:35 or its beginning"},

@@ -133,8 +133,8 @@ TEST_F(Audit, SaysWhatIsWrongWithTheCommand) {
     EXPECT_EQ(axon({"show", "a", "--folder", "b"}), kUsage);
     EXPECT_EQ(axon({"verify", folder.path.string(), "--last", "3"}), kUsage);
     EXPECT_EQ(axon({"show", "--kept", audit::kNoHash}), kUsage);
-    for (const auto& kept : {std::string("abc"), std::string(63, '0'), std::string(65, '0'),
-                             std::string(64, 'g')})
+    for (const auto& kept :
+         {std::string("abc"), std::string(63, '0'), std::string(65, '0'), std::string(64, 'g')})
         EXPECT_EQ(axon({"verify", folder.path.string(), "--kept", kept}), kUsage) << kept;
     const auto said = [this] { return seen.last("error")->at("message").get<std::string>(); };
     const audit::TrailFolder empty;
