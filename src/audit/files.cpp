@@ -80,17 +80,19 @@ std::map<std::string, std::map<std::uint64_t, fs::path>> trailFiles(const fs::pa
     return files;
 }
 
-Files::Files(fs::path folder, const std::string& name, Bounds bounds, Write write)
+Files::Files(fs::path folder, const std::string& name, Bounds bounds, Write write, Sync sync)
     : folder_(std::move(folder)),
       name_(safeName(name)),
       bounds_(bounds),
       write_(write ? std::move(write)
-                   : [](int fd, const char* bytes, std::size_t count) { return ::write(fd, bytes, count); }) {
+                   : [](int fd, const char* bytes, std::size_t count) { return ::write(fd, bytes, count); }),
+      sync_(sync ? std::move(sync) : [](int fd) { return ::fdatasync(fd); }) {
     if (open() || passes(error_)) return;
     if (error_ == EWOULDBLOCK)
         throw std::runtime_error("the audit trail '" + name_ + "' in '" + folder_.string() +
                                  "' is another process's; fix: end that one, or give this one another folder "
                                  "(Axon.Audit.Folder)");
+    if (!not_ours_.empty()) throw std::runtime_error("the audit trail cannot be kept: " + not_ours_);
     throw std::runtime_error("the audit trail cannot be kept in '" + folder_.string() +
                              "': " + std::generic_category().message(error_) +
                              "; expected a folder that this user may write to; fix: correct "
@@ -102,7 +104,9 @@ fs::path Files::fileOf(std::uint64_t number) const {
 }
 
 bool Files::open() {
-    return lock() && (file_ != 0 || findEnd()) && openFile(std::max<std::uint64_t>(file_, 1));
+    if (!lock() || (file_ == 0 && !findEnd()) || !openFile(std::max<std::uint64_t>(file_, 1))) return false;
+    deleteOld();
+    return true;
 }
 
 bool Files::lock() {
@@ -116,6 +120,12 @@ bool Files::lock() {
         }
         fs::permissions(folder_, fs::perms::owner_all, failed);
     }
+    struct stat facts {};
+    if (::stat(folder_.c_str(), &facts) != 0) {
+        error_ = errno;
+        return false;
+    }
+    if (!isOurs(folder_, facts)) return false;
     Descriptor fd(
         ::open((folder_ / (name_ + ".lock")).c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
     if (!fd.open() || ::flock(fd.get(), LOCK_EX | LOCK_NB) != 0) {
@@ -124,6 +134,22 @@ bool Files::lock() {
     }
     lock_ = std::move(fd);
     return true;
+}
+
+/// Who else may write to it can change what has been recorded.
+bool Files::isOurs(const fs::path& path, const struct stat& facts) {
+    const bool foreign = facts.st_uid != ::geteuid() && facts.st_uid != 0;
+    if (!foreign && (facts.st_mode & (S_IWGRP | S_IWOTH)) == 0) return true;
+    error_ = EPERM;
+    not_ours_ = '\'' + path.string() + '\'';
+    if (foreign)
+        not_ours_ +=
+            " belongs to another user; expected one of this user or of root; fix: chown it, or name "
+            "another folder (Axon.Audit.Folder)";
+    else
+        not_ours_ += std::string(" can be written to by others; fix: chmod ") +
+                     (S_ISDIR(facts.st_mode) ? "700 " : "600 ") + path.string();
+    return false;
 }
 
 /// The last line, whatever it is, and the last record; the newest file may be empty, or have none.
@@ -183,10 +209,33 @@ bool Files::openFile(std::uint64_t number) {
         error_ = EINVAL;
         return false;
     }
+    if (!isOurs(fileOf(number), facts)) return false;
+    sync();
+    if (facts.st_size == 0) {
+        // It may be new: its name comes to the disk as well.
+        const Descriptor folder(::open(folder_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+        if (folder.open()) ::fsync(folder.get());
+    }
     fd_ = std::move(fd);
     size_ = static_cast<std::uint64_t>(facts.st_size);
     file_ = number;
     return true;
+}
+
+/// The lowest number first, and none behind one that cannot be deleted: what is left has no gap. It is tried
+/// again with the next file.
+void Files::deleteOld() const {
+    const auto kept = static_cast<std::uint64_t>(std::max(bounds_.files, 1));
+    if (file_ <= kept) return;
+    try {
+        const auto files = trailFiles(folder_)[name_];
+        for (const auto& [number, path] : files) {
+            std::error_code failed;
+            if (number > file_ - kept || (!fs::remove(path, failed) && failed)) return;
+        }
+    } catch (const fs::filesystem_error&) {
+        return;  // the folder cannot be read now
+    }
 }
 
 bool Files::append(Record record) {
@@ -197,11 +246,8 @@ bool Files::append(Record record) {
     auto hash = hashOf(line);
     line += '\n';
     if (size_ > 0 && size_ + line.size() > bounds_.bytes) {
-        const auto before = file_;
-        if (!openFile(before + 1)) return false;
-        const auto kept = static_cast<std::uint64_t>(std::max(bounds_.files, 1));
-        std::error_code ignored;
-        if (file_ > kept) fs::remove(fileOf(file_ - kept), ignored);
+        if (!openFile(file_ + 1)) return false;
+        deleteOld();
     }
     if (!append(std::move(line))) return false;
     ++number_;
@@ -226,10 +272,18 @@ bool Files::finish() {
             error_ = n < 0 ? errno : ENOSPC;
             return false;
         }
+        unsynced_ = true;
         size_ += static_cast<std::uint64_t>(n);
         rest_.erase(0, static_cast<std::size_t>(n));
     }
     return true;
+}
+
+/// One that fails is not repeated: the kernel has given up these pages.
+void Files::sync() {
+    if (!fd_.open() || !std::exchange(unsynced_, false)) return;
+    while (sync_(fd_.get()) != 0 && errno == EINTR) {
+    }
 }
 
 }  // namespace axon::audit

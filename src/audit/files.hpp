@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <sys/stat.h>
 #include <sys/types.h>
 
 #include <cstddef>
@@ -27,12 +28,13 @@ std::map<std::string, std::map<std::uint64_t, std::filesystem::path>> trailFiles
 /// and the hash of the line before it, and appends it with one write(2).
 ///
 /// A record that would make a file longer than `bytes` begins the next file; of more than `files` the oldest
-/// is deleted. The next life goes on where the last one ended: a line without its end, which a kill or a loss
-/// of power has left, is ended and not cut off, and the hash of the next record covers it.
+/// are deleted, also those that an earlier life with a higher bound, or a kill, has left. The next life goes
+/// on where the last one ended: a line without its end, which a kill or a loss of power has left, is ended
+/// and not cut off, and the hash of the next record covers it.
 ///
-/// Threads: one. It waits for the disk. Failure: where the folder or a file cannot be used, or another
-/// process has the trail, the constructor throws std::runtime_error, with the fix; not where the disk is full
-/// or broken, which append() tries again.
+/// Threads: one. It waits for the disk. Failure: where the folder or a file cannot be used, others may write
+/// to it, or another process has the trail, the constructor throws std::runtime_error, with the fix; not
+/// where the disk is full or broken, which append() tries again.
 class Files {
   public:
     struct Bounds {
@@ -40,15 +42,20 @@ class Files {
         int files = 8;
     };
     using Write = std::function<ssize_t(int fd, const char* bytes, std::size_t count)>;
+    using Sync = std::function<int(int fd)>;
 
-    /// `write`: as write(2). `name` is made a safeName().
-    Files(std::filesystem::path folder, const std::string& name, Bounds bounds, Write write = {});
+    /// `write`: as write(2); `sync`: as fdatasync(2). `name` is made a safeName().
+    Files(std::filesystem::path folder, const std::string& name, Bounds bounds, Write write = {},
+          Sync sync = {});
 
     /// Fills in number and `before`. False: nothing of the record is written, and it can be tried again. A
     /// record of which only a part fits has been taken; its rest goes before the next one.
     bool append(Record record);
     /// Writes what is left of the last record. False: some still is.
     bool finish();
+    /// Waits until the disk has what was written; does nothing where it has. Each file is synced before the
+    /// next one begins.
+    void sync();
     /// errno of what failed last.
     int error() const { return error_; }
     /// Bytes of the line without end that was found at the beginning; 0 = there was none.
@@ -58,8 +65,10 @@ class Files {
   private:
     bool open();
     bool lock();
+    bool isOurs(const std::filesystem::path& path, const struct stat& facts);
     bool findEnd();
     bool openFile(std::uint64_t number);
+    void deleteOld() const;
     bool append(std::string line);
     std::filesystem::path fileOf(std::uint64_t number) const;
 
@@ -67,12 +76,15 @@ class Files {
     const std::string name_;
     const Bounds bounds_;
     const Write write_;
+    const Sync sync_;
     Descriptor lock_, fd_;
     std::uint64_t file_ = 0;    // number of the present file
     std::uint64_t size_ = 0;    // of it
     std::uint64_t number_ = 0;  // of the last record
     std::string hash_ = kNoHash;
     std::string rest_;  // of what was written in part
+    bool unsynced_ = false;
+    std::string not_ours_;  // why the folder or a file is refused
     std::uint64_t unfinished_ = 0;
     int error_ = 0;
 };

@@ -80,6 +80,34 @@ TEST_F(AuditFiles, ANewFileGoesOnWithTheChainAndTheOldestIsDeleted) {
     EXPECT_EQ(chain.last - chain.first + 1, chain.records);
 }
 
+TEST_F(AuditFiles, FewerFilesThanBeforeAreKeptFromTheNextLifeOn) {
+    bounds = {1000, 8};
+    const auto fill = [this](int records) {
+        Files files(folder.path, "server", bounds);
+        for (int i = 0; i < records; ++i) ASSERT_TRUE(files.append(record(std::string(100, 'x'))));
+    };
+    fill(60);
+    ASSERT_EQ(trailFiles(folder.path).at("server").size(), 8U);
+    bounds.files = 2;
+    fill(0);
+    EXPECT_EQ(trailFiles(folder.path).at("server").size(), 2U);
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+    fill(30);
+    EXPECT_EQ(trailFiles(folder.path).at("server").size(), 2U);
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+}
+
+// What a kill between the next file and the deletion leaves, or a deletion that has failed.
+TEST_F(AuditFiles, AnOldFileThatIsLeftIsDeletedWithTheNext) {
+    bounds = {10, 2};
+    Files files(folder.path, "server", bounds);
+    for (int i = 0; i < 4; ++i) ASSERT_TRUE(files.append(record("a")));
+    folder.write("server.1.jsonl", "left\n");
+    ASSERT_TRUE(files.append(record("a")));
+    EXPECT_FALSE(fs::exists(folder.path / "server.1.jsonl"));
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+}
+
 TEST_F(AuditFiles, ARecordThatIsLargerThanAFileIsWrittenAllTheSame) {
     bounds = {10, 2};
     Files files(folder.path, "server", bounds);
@@ -216,6 +244,53 @@ TEST_F(AuditFiles, AFolderThatCannotBeUsedIsNamedWithTheFix) {
     EXPECT_THROW(Files(folder.path, "server", bounds), std::runtime_error);
     ::mkfifo((folder.path / "pipe.1.jsonl").c_str(), 0600);
     EXPECT_THROW(Files(folder.path, "pipe", bounds), std::runtime_error);
+}
+
+TEST_F(AuditFiles, AFolderOrFileThatOthersMayWriteToIsRefused) {
+    const auto complaint = [this] {
+        try {
+            const Files files(folder.path, "server", bounds);
+        } catch (const std::runtime_error& error) {
+            return std::string(error.what());
+        }
+        return std::string();
+    };
+    for (const auto mode : {0720U, 0702U, 0777U}) {
+        ASSERT_EQ(::chmod(folder.path.c_str(), mode), 0);
+        EXPECT_THAT(complaint(), HasSubstr("fix: chmod 700 " + folder.path.string()));
+    }
+    ASSERT_EQ(::chmod(folder.path.c_str(), 0755), 0);
+    EXPECT_EQ(complaint(), "");
+    const auto file = folder.path / "server.1.jsonl";
+    ASSERT_EQ(::chmod(file.c_str(), 0660), 0);
+    EXPECT_THAT(complaint(), HasSubstr("fix: chmod 600 " + file.string()));
+    ASSERT_EQ(::chmod(file.c_str(), 0600), 0);
+    if (::geteuid() != 0) return;
+    ASSERT_EQ(::chown(file.c_str(), 12345, 12345), 0);
+    EXPECT_THAT(complaint(), HasSubstr("belongs to another user"));
+    ASSERT_EQ(::chown(file.c_str(), 0, 0), 0);
+    ASSERT_EQ(::chown(folder.path.c_str(), 12345, 12345), 0);
+    EXPECT_THAT(complaint(), HasSubstr("belongs to another user"));
+}
+
+TEST_F(AuditFiles, AFileIsOnTheDiskBeforeTheNextBegins) {
+    bounds = {10, 8};
+    int synced = 0;
+    Files files(folder.path, "server", bounds, {}, [&](int fd) {
+        struct stat facts {};
+        EXPECT_EQ(::fstat(fd, &facts), 0);
+        EXPECT_GT(facts.st_size, 10);
+        ++synced;
+        return 0;
+    });
+    files.sync();
+    EXPECT_EQ(synced, 0) << "nothing was written";
+    ASSERT_TRUE(files.append(record("one")));
+    ASSERT_TRUE(files.append(record("two")));
+    EXPECT_EQ(synced, 1);
+    files.sync();
+    files.sync();
+    EXPECT_EQ(synced, 2);
 }
 
 TEST_F(AuditFiles, NoNameIsAPath) {

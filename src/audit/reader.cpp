@@ -32,7 +32,7 @@ void ChainReader::fault(std::string text) {
     add({here_.file, 0}, std::move(text));
 }
 
-void ChainReader::line(std::string_view text) {
+void ChainReader::line(std::string_view text, bool ended) {
     ++here_.line;
     const auto record = readLine(text);
     if (record) {
@@ -46,8 +46,9 @@ void ChainReader::line(std::string_view text) {
         ++torn_lines_;
         if (torn_.size() < Chain::kFaults) torn_.push_back({here_, beginsARecord(text)});
     }
-    chain_.hash = hashOf(text);
-    if (!kept_.empty() && chain_.hash == kept_) chain_.kept_found = true;
+    hash_ = hashOf(text);
+    if (!kept_.empty() && hash_ == kept_) chain_.kept_found = true;
+    if (ended || record) chain_.hash = hash_;  // a part of a record may be being written
     last_ = here_;
     if (record && each_) each_(*record);
 }
@@ -75,7 +76,7 @@ void ChainReader::endTorn(std::uint64_t lines, bool covered) {
 void ChainReader::check(const Record& record, std::uint64_t skipped) {
     const bool first = chain_.records == 0;
     const auto expected = chain_.last + 1;
-    const bool covers = chain_.hash.empty() || record.before == chain_.hash;
+    const bool covers = hash_.empty() || record.before == hash_;
     if (skipped > 0) {
         const bool goes_on = covers && record.kind == "started" && (first || record.number == expected);
         endTorn(skipped, goes_on);
@@ -116,7 +117,7 @@ void readFile(const fs::path& path, ChainReader& reader) {
     if (!fd.open() || ::fstat(fd.get(), &facts) != 0)
         throw std::runtime_error("'" + path.string() +
                                  "' cannot be read: " + std::generic_category().message(errno) +
-                                 "; fix: read it as the user who runs the program, or as root");
+                                 "; fix: run it as the user who runs the program, or as root");
     if (!S_ISREG(facts.st_mode)) return reader.fault("is no file");
     std::string line;
     std::array<char, 65'536> block{};
@@ -141,7 +142,7 @@ void readFile(const fs::path& path, ChainReader& reader) {
         }
         add(rest);
     }
-    if (!line.empty()) reader.line(line);
+    if (!line.empty()) reader.line(line, false);
 }
 
 }  // namespace

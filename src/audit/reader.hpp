@@ -29,7 +29,7 @@ struct Chain {
     std::string name;
     std::uint64_t records = 0;
     std::uint64_t first = 0, last = 0;  ///< numbers of records; older ones have been rotated away
-    std::string hash;                   ///< of the last line: what to keep elsewhere
+    std::string hash;                   ///< of the last line that is complete: what to keep elsewhere
     std::string last_at;                ///< time of the last record
     std::vector<Fault> faults;          ///< the first kFaults
     std::uint64_t faulty = 0;           ///< all of them
@@ -56,8 +56,8 @@ class ChainReader {
 
     /// The next file of the trail.
     void file(std::string name);
-    /// Its next line, without its end.
-    void line(std::string_view text);
+    /// Its next line, without its end; `ended`: it has one.
+    void line(std::string_view text, bool ended = true);
     /// Something about the present file that its lines do not show.
     void fault(std::string text);
     /// What has been read.
@@ -77,6 +77,7 @@ class ChainReader {
     const std::string kept_;
     Chain chain_;
     Place here_, last_;  // last_: of the last line
+    std::string hash_;   // of the last line, also of one that is not complete
     struct Torn {
         Place place;
         bool begins_a_record = false;

@@ -149,6 +149,19 @@ TEST_F(AuditReader, ALineThatIsCutOffAtTheEndIsUnfinishedAndNoFault) {
     EXPECT_FALSE(folder.chain().whole());
 }
 
+TEST_F(AuditReader, TheHashToKeepIsNotThatOfALineThatIsBeingWritten) {
+    const auto text = folder.text("server.3.jsonl");
+    const auto hash = folder.chain().hash;
+    folder.write("server.3.jsonl", text + "{\"n\":11,\"at\":\"2026");
+    EXPECT_EQ(folder.chain().hash, hash);
+    // All but its end is there: nothing changes in it.
+    folder.write("server.3.jsonl", text.substr(0, text.size() - 1));
+    EXPECT_EQ(folder.chain().hash, hash);
+    // A new life has ended it.
+    folder.write("server.3.jsonl", text + "{\"n\":11,\"at\":\"2026\n");
+    EXPECT_EQ(folder.chain().hash, hashOf("{\"n\":11,\"at\":\"2026"));
+}
+
 TEST_F(AuditReader, TwoLivesThatAreKilledAtOnceLeaveTwoUnfinishedLines) {
     const auto text = folder.text("server.3.jsonl");
     folder.write("server.3.jsonl", text + "{\"n\":11,\"at\n{\"n\":1");

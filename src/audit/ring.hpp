@@ -44,6 +44,8 @@ class Ring {
         for (std::size_t i = 0; i < slots_.size(); ++i) slots_[i].turn.store(i, std::memory_order_relaxed);
     }
 
+    std::size_t slots() const { return slots_.size(); }
+
     bool push(const Note& note, std::int64_t at_us) {
         auto at = next_in_.load(std::memory_order_relaxed);
         Slot* slot = nullptr;

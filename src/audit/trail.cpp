@@ -5,6 +5,7 @@
 #include <pthread.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <system_error>
 #include <utility>
 
@@ -40,15 +41,23 @@ Record startOf(const std::string& started, std::uint64_t unfinished) {
     return record;
 }
 
+std::string fixOf(int error) {
+    if (error == ENOSPC || error == EDQUOT) return "; fix: make room on the disk";
+    if (error == EACCES || error == EPERM || error == EROFS)
+        return "; fix: let this user write to the folder and its files";
+    return {};
+}
+
 }  // namespace
 
 Trail::Trail(const TrailSettings& settings, const std::string& name, const std::string& started,
-             Report report, Files::Write write)
+             Report report, Files::Write write, const Clock* clock, Files::Sync sync)
     : settings_(settings),
       report_(std::move(report)),
+      clock_(clock != nullptr ? *clock : steady_),
       ring_(settings.waiting),
       limit_(settings.per_second),
-      files_(settings.folder, name, settings.files, std::move(write)),
+      files_(settings.folder, name, settings.files, std::move(write), std::move(sync)),
       pause_(settings.retry_first) {
     if (files_.unfinished() > 0)
         report_("audit: the last record of the trail in " + files_.folder().string() +
@@ -71,32 +80,35 @@ void Trail::note(const Note& note) {
     } else if (!ring_.push(note, wallTimeUs())) {
         lost_.fetch_add(1, std::memory_order_relaxed);
     }
-    if (note.kind == Kind::Stop) return;  // the thread finds it within kLook; waking it costs a stop too much
-    // A system call only where its thread sleeps. The exchange orders this after the push, and the thread
-    // looks into the queue after its own exchange: one of the two sees the other.
-    if (sleeping_.exchange(false)) wake_up_.wake();
 }
 
 void Trail::run() {
-    Ring::Kept kept;
     while (true) {
-        if (ring_.pop(kept)) {
-            if (!write(recordOf(kept))) return;
-            continue;
+        // Before it looks into the queue: what was noted before the end is found.
+        const bool ending = ending_;
+        if (!writeWaiting()) return;
+        if (const auto now = clock_.now(); ending || now >= losses_again_) {
+            losses_again_ = now + kTellLosses;
+            if (!writeLosses()) return;
         }
-        if (!writeLosses()) return;
-        sleeping_.exchange(true);
-        if (ring_.pop(kept)) {
-            sleeping_.exchange(false);
-            if (!write(recordOf(kept))) return;
-            continue;
+        if (const auto now = clock_.now(); ending || now >= sync_again_) {
+            sync_again_ = now + kSync;
+            files_.sync();
         }
-        if (ending_) return;
+        if (ending) return;
         // The rest of a record that fitted in part does not wait for the next one.
         const bool whole = files_.finish();
         waitFor(static_cast<int>((whole ? kLook : std::max(kLook, settings_.retry_first)).count()));
-        sleeping_.exchange(false);
     }
+}
+
+/// False: the program ends, and the disk does not take it.
+bool Trail::writeWaiting() {
+    Ring::Kept kept;
+    // No more than fit at once: what a flood costs is told while it lasts.
+    for (std::size_t i = 0; i < ring_.slots() && ring_.pop(kept); ++i)
+        if (!write(recordOf(kept))) return false;
+    return true;
 }
 
 bool Trail::writeLosses() {
@@ -130,7 +142,7 @@ bool Trail::failed() {
     if (!std::exchange(failing_, true))
         report_("audit: the trail in " + files_.folder().string() + " cannot be written (" +
                 std::generic_category().message(files_.error()) + "); " + std::to_string(settings_.waiting) +
-                " records are kept, and further ones counted, until it can; fix: make room on the disk");
+                " records are kept, and further ones counted, until it can" + fixOf(files_.error()));
     if (ending_) {
         report_("audit: what was not written is lost");
         return false;
@@ -140,11 +152,10 @@ bool Trail::failed() {
     return true;
 }
 
-/// Or until it is woken.
+/// Or until the end.
 void Trail::waitFor(int milliseconds) {
     pollfd wanted{wake_up_.fd(), POLLIN, 0};
     ::poll(&wanted, 1, milliseconds);
-    if (!ending_) wake_up_.drain();
 }
 
 }  // namespace axon::audit

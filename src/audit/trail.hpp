@@ -32,9 +32,9 @@ struct TrailSettings {
 ///
 /// A caller copies its note into a queue, and never waits for the disk. While the disk is full or broken the
 /// queue fills; what does not fit is counted, and the count becomes a record when the disk takes records
-/// again. The same holds for commands and refusals above `per_second`, so that nobody drives the other
-/// records out of the files by asking for much. Stops, rearms, log-ins, sessions and ownership are not
-/// limited.
+/// again, at most once a second and at the end. The same holds for commands and refusals above `per_second`,
+/// so that nobody drives the other records out of the files by asking for much. Stops, rearms, log-ins,
+/// sessions and ownership are not limited.
 ///
 /// Life: the constructor notes that the program has started; the destructor writes what waits, if the disk
 /// takes it at once. Threads: any; one of its own. Failure: the constructor throws std::runtime_error for a
@@ -44,9 +44,10 @@ class Trail final : public AuditTrail {
     /// On the trail's thread, and on that of the constructor.
     using Report = std::function<void(const std::string& line)>;
 
-    /// `name`: of the program; `started`: what the first record says, such as its release.
+    /// `name`: of the program; `started`: what the first record says, such as its release; `clock`: null for
+    /// the steady one.
     Trail(const TrailSettings& settings, const std::string& name, const std::string& started, Report report,
-          Files::Write write = {});
+          Files::Write write = {}, const Clock* clock = nullptr, Files::Sync sync = {});
     ~Trail() override;
     Trail(const Trail&) = delete;
     Trail& operator=(const Trail&) = delete;
@@ -57,6 +58,7 @@ class Trail final : public AuditTrail {
 
   private:
     void run();
+    bool writeWaiting();
     bool writeLosses();
     bool write(const Record& record);
     bool failed();
@@ -64,18 +66,20 @@ class Trail final : public AuditTrail {
 
     const TrailSettings settings_;
     const Report report_;
-    const SteadyClock clock_{};
+    const SteadyClock steady_{};
+    const Clock& clock_;
     Ring ring_;
     RateLimit limit_;
     std::atomic<std::uint64_t> lost_{0}, left_out_{0};
-    /// How often its thread looks for stops, which do not wake it.
+    /// How often its thread looks into the queue. A note does not wake it: that can cost more than a stop.
     static constexpr std::chrono::milliseconds kLook{10};
+    static constexpr std::chrono::seconds kTellLosses{1}, kSync{1};
 
-    std::atomic<bool> sleeping_{false};  // its thread waits to be woken
     std::atomic<bool> ending_{false};
-    WakeUp wake_up_;
+    WakeUp wake_up_;  // for the end only
     // Of its thread only:
     Files files_;
+    TimePoint losses_again_{}, sync_again_{};  // when they may be told, and the file synced, again
     bool failing_ = false;
     std::chrono::milliseconds pause_;
     std::thread thread_;  // last: it uses the others

@@ -5,9 +5,11 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <csignal>
 #include <mutex>
+#include <system_error>
 
 #include "audit/testing.hpp"
 #include "support/loopback.hpp"
@@ -22,6 +24,13 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::SizeIs;
+
+/// Stands still until it is moved. Threads: any.
+struct SharedClock final : Clock {
+    TimePoint now() const override { return TimePoint(Duration(ns)); }
+    void advance(Duration by) { ns += by.count(); }
+    std::atomic<std::int64_t> ns{1'000'000'000'000};
+};
 
 struct AuditTrailTest : testing::Test {
     AuditTrailTest() {
@@ -39,12 +48,12 @@ struct AuditTrailTest : testing::Test {
         const std::lock_guard lock(mutex);
         return reports;
     }
-    /// A disk that is full while `full` says so.
+    /// A disk that fails with `error` while `full` says so.
     Files::Write disk() {
         return [this](int fd, const char* bytes, std::size_t count) -> ssize_t {
             ++tries;
             if (full) {
-                errno = ENOSPC;
+                errno = error;
                 return -1;
             }
             return ::write(fd, bytes, count);
@@ -59,6 +68,7 @@ struct AuditTrailTest : testing::Test {
     std::mutex mutex;
     std::vector<std::string> reports;
     std::atomic<bool> full{false};
+    std::atomic<int> error{ENOSPC};
     std::atomic<int> tries{0};
 };
 
@@ -142,6 +152,81 @@ TEST_F(AuditTrailTest, WhoAsksForMuchDrivesNoStopOutOfTheTrail) {
     const int admitted = kinds["command"] + kinds["refusal"];
     EXPECT_LE(admitted, 30) << "a loop that takes more than two seconds";
     EXPECT_EQ(admitted + left_out, 500);
+}
+
+TEST_F(AuditTrailTest, AFloodIsToldOfOnceASecond) {
+    settings.per_second = 1;
+    SharedClock clock;
+    const auto lost = [this] {
+        std::vector<std::string> all;
+        for (const auto& record : folder.records())
+            if (record.kind == "lost") all.push_back(record.what);
+        return all;
+    };
+    {
+        Trail trail(settings, "server", "", report(), {}, &clock);
+        ASSERT_TRUE(recorded(1));
+        trail.note({.kind = Kind::Command, .what = "admitted"});
+        const auto stops = [this] {
+            const auto all = folder.records();
+            return static_cast<std::size_t>(
+                std::count_if(all.begin(), all.end(), [](const auto& one) { return one.kind == "stop"; }));
+        };
+        // Each time its thread has looked after a command was left out.
+        for (std::size_t i = 1; i <= 20; ++i) {
+            trail.note({.kind = Kind::Command});
+            trail.note({.kind = Kind::Stop});
+            ASSERT_TRUE(waitUntil([&] { return stops() == i; }));
+        }
+        EXPECT_LE(lost().size(), 1U);
+        clock.advance(1s);
+        EXPECT_TRUE(waitUntil([&] { return !lost().empty(); }));
+        EXPECT_LE(lost().size(), 2U);
+        trail.note({.kind = Kind::Command, .what = "admitted"});
+        trail.note({.kind = Kind::Command});
+    }
+    std::uint64_t left_out = 0;
+    for (const auto& what : lost()) left_out += std::stoull(what);
+    EXPECT_EQ(left_out, 21U) << "what is left out just before the end is not told";
+    EXPECT_LE(lost().size(), 3U);
+}
+
+TEST_F(AuditTrailTest, TheDiskHasWhatWasWrittenWithinASecondAndAtTheEnd) {
+    SharedClock clock;
+    std::atomic<int> synced{0};
+    const auto sync = [&synced](int) { return ++synced, 0; };
+    {
+        Trail trail(settings, "server", "", report(), {}, &clock, sync);
+        EXPECT_TRUE(waitUntil([&] { return synced == 1; })) << "the start";
+        for (std::size_t i = 2; i <= 10; ++i) {
+            trail.note({.kind = Kind::Stop});
+            ASSERT_TRUE(recorded(i));
+        }
+        EXPECT_EQ(synced, 1);
+        clock.advance(1s);
+        EXPECT_TRUE(waitUntil([&] { return synced == 2; }));
+        trail.note({.kind = Kind::Stop});
+        ASSERT_TRUE(recorded(11));
+        EXPECT_EQ(synced, 2);
+    }
+    EXPECT_EQ(synced, 3);
+}
+
+TEST_F(AuditTrailTest, TheFixFitsWhatIsWrong) {
+    for (const auto& [failure, fix] : {std::pair{ENOSPC, "fix: make room"},
+                                       {EDQUOT, "fix: make room"},
+                                       {EROFS, "fix: let this user write"},
+                                       {EACCES, "fix: let this user write"}}) {
+        error = failure;
+        full = true;
+        { const Trail trail(settings, "server", "", report(), disk()); }
+        EXPECT_THAT(reported().front(),
+                    testing::AllOf(HasSubstr(std::generic_category().message(failure)), HasSubstr(fix)));
+        reports.clear();
+    }
+    error = EIO;
+    { const Trail trail(settings, "server", "", report(), disk()); }
+    EXPECT_THAT(reported().front(), testing::Not(HasSubstr("fix:")));
 }
 
 TEST_F(AuditTrailTest, ALineThatWasNotFinishedIsReportedAndRecorded) {

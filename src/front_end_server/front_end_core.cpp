@@ -243,9 +243,14 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
     head.sender = client->me;
     const auto server = alone() ? nullptr : entities_.serverOf(head.entity, Lane::Data);
-    // Droppable data of who may not send it is dropped without a word.
-    if ((!alone() && !server) || !mayGoOn(*client, head, data.size()).ok()) return;
+    // A client that may not send droppable data is not told. What is no raw data does not belong here, so its
+    // refusal is recorded; those of raw data come many times a second.
+    const bool raw = head.msg_type == kMsgRaw;
+    const auto may =
+        !alone() && !server ? Result<void>(unknownEntity(head.entity)) : mayGoOn(*client, head, data.size());
+    if (!may.ok()) return raw ? void() : log_.refused(head, may.refusal());
     topic_.clientMsgDataSeq(server ? *server : std::string(), head, data);
+    log_.command(head);
     if (head.msg_type == kMsgRearm) log_.audit("rearm", client->me, {head.entity}, entities_.known());
 }
 
@@ -505,8 +510,12 @@ void FrontEndCore::entityMsgDataSeq(const Header& head, std::string_view data) {
 
 void FrontEndCore::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
     if (head.sender.id.empty()) return;
-    toClients(lane, head.sender.id, [&](ClientOutbox& client) { client.newRefusalMsg(head, refusal); });
-    log_.refused(head, refusal);
+    bool here = false;  // each of several servers is told
+    toClients(lane, head.sender.id, [&](ClientOutbox& client) {
+        here = true;
+        client.newRefusalMsg(head, refusal);
+    });
+    if (here) log_.refused(head, refusal);
 }
 
 TimePoint FrontEndCore::onTimer() {

@@ -32,6 +32,7 @@ namespace axon::front_end_server {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::AllOf;
 using testing::Contains;
 using testing::ElementsAre;
 using testing::HasSubstr;
@@ -395,6 +396,33 @@ TEST_F(FrontEndTest, WhatAClientDoesAndWhatIsRefusedIsRecorded) {
     core.leave(peer.client, Ending::Lost, "it is silent");
     EXPECT_EQ(trail.last(), "session|client1|" + peer.id() + "||is lost: it is silent|");
     EXPECT_EQ(trail.notes().front(), "session|client1|" + peer.id() + "||joined as operator|OK");
+}
+
+TEST_F(FrontEndTest, ACommandThatComesAsDroppableDataIsRecordedAsWell) {
+    entity("e1");
+    const auto peer = join("client1");
+    auto head = to("e1");
+    head.msg_type = kMsgTask;
+    core.sendToEntityDataSeq(peer.client, head, "a task");
+    EXPECT_EQ(trail.last(), "command|client1|" + peer.id() + "|e1|TASK|OK");
+    head.msg_type = kMsgCollaboration;
+    core.sendToEntityDataSeq(peer.client, head, "order");
+    EXPECT_THAT(trail.last(), AllOf(HasSubstr("refusal|client1|"), HasSubstr("|PERMISSION_DENIED")));
+    const auto before = trail.notes().size();
+    head.msg_type = kMsgRaw;
+    core.sendToEntityDataSeq(peer.client, head, std::string(129 * 1024, 'x'));
+    EXPECT_EQ(trail.notes().size(), before) << "raw data that is refused at 50 Hz fills the trail";
+    peer.data->take();
+}
+
+TEST_F(FrontEndTest, OnlyTheServerOfTheClientRecordsTheRefusalOfAnEntity) {
+    entity("e1");
+    const auto peer = join("client1");
+    const auto before = trail.notes().size();
+    auto head = to("e1");
+    head.sender = {"elsewhere", "client2", Role::Operator};
+    core.entityRefusal(Lane::Data, head, {RefusalCode::NotHolder, "no", {}});
+    EXPECT_EQ(trail.notes().size(), before);
 }
 
 TEST_F(FrontEndTest, AcceptsAStopForAllWithoutALease) {

@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <algorithm>
 #include <deque>
+#include <filesystem>
 #include <map>
+#include <set>
 #include <stdexcept>
+#include <system_error>
+#include <vector>
 
 #include "audit/note.hpp"
 #include "audit/reader.hpp"
@@ -35,16 +39,54 @@ bool isTime(const std::string& text) {
     return true;
 }
 
+/// What the records of sessions say of the clients and entities of other records.
+struct Known {
+    std::map<std::string, std::string> users;               // of clients, by their id
+    std::map<std::string, std::set<std::string>> entities;  // UUIDs, by name
+
+    void add(const Record& record) {
+        if (record.kind != "session") return;
+        if (!record.client.empty() && !record.user.empty()) users[record.client] = record.user;
+        if (!record.entity.empty()) entities[record.name].insert(record.entity);
+    }
+    std::string userOf(const std::string& client) const {
+        const auto user = users.find(client);
+        return user == users.end() ? std::string() : user->second;
+    }
+};
+
 /// What `axon audit show` is asked for; empty = all.
 struct Filter {
     std::string entity, user, kind, since, until;
+    std::set<std::string> uuids{};  // of the entity
 
-    bool wants(const Record& record, const std::string& user_of_client) const {
-        return (entity.empty() || record.entity == entity || record.name == entity) &&
+    void know(const Known& known) {
+        if (entity.empty()) return;
+        uuids.insert(entity);
+        if (const auto its = known.entities.find(entity); its != known.entities.end())
+            uuids.insert(its->second.begin(), its->second.end());
+    }
+    bool wants(const Record& record, const Known& known) const {
+        return (entity.empty() || concerns(record)) &&
                (user.empty() || record.user == user || record.name == user || record.client == user ||
-                user_of_client == user) &&
+                known.userOf(record.client) == user) &&
                (kind.empty() || record.kind == kind) && record.at >= since &&
                record.at.compare(0, until.size(), until) <= 0;
+    }
+
+  private:
+    /// The entity, or all of them, or a list with it or without an end.
+    bool concerns(const Record& record) const {
+        if (!record.entity.empty()) return uuids.contains(record.entity);
+        const auto& what = record.what;
+        if (record.kind == "stop" || what.starts_with("drill")) {
+            constexpr std::size_t kPerhapsCut = 500;
+            return what.find(" entities: ") == std::string::npos || what.ends_with(" more") ||
+                   what.size() >= kPerhapsCut ||
+                   std::any_of(uuids.begin(), uuids.end(),
+                               [&](const auto& uuid) { return what.find(uuid) != std::string::npos; });
+        }
+        return record.kind == "login" && record.name == entity;  // of its Entity Manager
     }
 };
 
@@ -62,9 +104,32 @@ Json toJson(const std::string& trail, const Record& record) {
     return event;
 }
 
+void requireTrails(const std::string& folder, const std::vector<Chain>& chains) {
+    if (chains.empty())
+        throw std::runtime_error(
+            "there is no audit trail in '" + folder +
+            "'; expected files NAME.NUMBER.jsonl; fix: name the folder of Axon.Audit.Folder");
+}
+
+/// 64 hexadecimal digits.
+bool isHash(const std::string& text) {
+    return text.size() == audit::kNoHash.size() &&
+           text.find_first_not_of("0123456789abcdef") == std::string::npos;
+}
+
+/// What is wrong with a folder, in one line with the fix.
+std::string complaintOf(const std::string& folder, const std::error_code& failed) {
+    if (failed == std::errc::no_such_file_or_directory)
+        return "there is no folder '" + folder + "'; fix: name the folder of Axon.Audit.Folder";
+    auto complaint = "'" + folder + "' cannot be read: " + failed.message();
+    if (failed == std::errc::permission_denied || failed == std::errc::operation_not_permitted)
+        complaint += "; fix: run it as the user who runs the program, or as root";
+    return complaint;
+}
+
 int show(Session& session, const std::string& folder) {
     const auto text = [&](const char* option) { return session.args.value(option, std::string()); };
-    const Filter filter{text("entity"), text("user"), text("kind"), text("since"), text("until")};
+    Filter filter{text("entity"), text("user"), text("kind"), text("since"), text("until")};
     for (const auto& time : {filter.since, filter.until})
         if (!time.empty() && !isTime(time))
             return misused(session,
@@ -72,14 +137,15 @@ int show(Session& session, const std::string& folder) {
                                "' is no time; expected the beginning of one in UTC, such as 2026-11-28 or "
                                "2026-11-28T14:35");
     const auto last = session.args.value("last", std::size_t{0});
-    std::map<std::string, std::string> users;  // of clients, by their id
+    // All trails once before: the trail with the session may come after the one with what was done.
+    Known known;
+    requireTrails(folder, audit::readTrails(folder, {}, [&](const std::string&, const Record& record) {
+                      known.add(record);
+                  }));
+    filter.know(known);
     std::deque<std::pair<std::string, Record>> found;
     const auto chains = audit::readTrails(folder, {}, [&](const std::string& trail, const Record& record) {
-        if (record.kind == "session" && !record.client.empty() && !record.user.empty())
-            users[record.client] = record.user;
-        const auto user = users.find(record.client);
-        if (filter.wants(record, user == users.end() ? std::string() : user->second))
-            found.emplace_back(trail, record);
+        if (filter.wants(record, known)) found.emplace_back(trail, record);
     });
     std::stable_sort(found.begin(), found.end(),
                      [](const auto& a, const auto& b) { return a.second.at < b.second.at; });
@@ -99,11 +165,12 @@ int show(Session& session, const std::string& folder) {
 
 int verify(Session& session, const std::string& folder) {
     const auto kept = session.args.value("kept", std::string());
+    if (session.args.contains("kept") && !isHash(kept))
+        return misused(session, "'" + kept +
+                                    "' is no hash; expected 64 hexadecimal digits (0 to 9, a to f), as axon "
+                                    "audit verify prints them");
     const auto chains = audit::readTrails(folder, kept);
-    if (chains.empty())
-        throw std::runtime_error(
-            "there is no audit trail in '" + folder +
-            "'; expected files NAME.NUMBER.jsonl; fix: name the folder of Axon.Audit.Folder");
+    requireTrails(folder, chains);
     int exit = kDone;
     const auto bad = [&](const std::string& place, const std::string& message) {
         exit = kRefused;
@@ -146,6 +213,8 @@ int auditVerb(Session& session) {
         return misused(session, "--kept is for axon audit verify");
     try {
         return action == "show" ? show(session, folder) : verify(session, folder);
+    } catch (const std::filesystem::filesystem_error& failed) {
+        session.events.emit(usageEvent(complaintOf(folder, failed.code())));
     } catch (const std::exception& error) {
         session.events.emit(usageEvent(error.what()));
     }
@@ -167,8 +236,9 @@ extern const Verb kAudit{
     {{"action", Takes::Choice, true, false, "show or verify", {"show", "verify"}},
      {"folder_name", Takes::File, false, false, "Folder of the trails"}},
     {{"folder", Takes::File, "Folder of the trails (default /var/lib/axon-server/audit)"},
-     {"entity", Takes::Text, "show: of this entity, by UUID or name"},
-     {"user", Takes::Text, "show: of this user, client or client id"},
+     {"entity", Takes::Text,
+      "show: of this entity, by UUID or by the name with which it joined; also stops of all"},
+     {"user", Takes::Text, "show: of this user, client name or client id"},
      {"kind", Takes::Choice, "show: of this kind", kinds()},
      {"since", Takes::Text, "show: from this time on, in UTC: 2026-11-28T14:35 or its beginning"},
      {"until", Takes::Text, "show: up to this time, which counts"},

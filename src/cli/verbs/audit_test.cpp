@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <gmock/gmock.h>
+#include <unistd.h>
 
+#include <filesystem>
 #include <sstream>
 
 #include "audit/files.hpp"
@@ -72,6 +74,28 @@ TEST_F(Audit, AUserIsFoundByWhatTheClientDidUnderAnotherName) {
     EXPECT_THAT(shown({"--user", "ann"}), ElementsAre(2, 3));
 }
 
+TEST_F(Audit, AUserIsFoundInTheTrailsOfOtherServersToo) {
+    audit::Files other(folder.path, "axon-a", {});
+    add(other, {0, "", "ownership", "", "tablet", "c1", "", "e1", "checked out", "", ""});
+    shown({"--user", "ann"});
+    EXPECT_EQ(seen.events.size(), 3U);
+    EXPECT_EQ(seen.last("audit_record")->at("trail"), "axon-a");
+}
+
+TEST_F(Audit, AnEntityIsFoundByItsNameAndStopsOfAllAreItsToo) {
+    {
+        audit::Files files(folder.path, "axon-server", {});
+        add(files, {0, "", "session", "", "Cart", "", "", "e2", "entity joined", "OK", ""});
+        add(files, {0, "", "stop", "", "bob", "c2", "", "", "stop to all 2 entities", "OK", ""});
+        add(files, {0, "", "stop", "", "bob", "c2", "", "", "stop of 2 entities: e1, e3", "OK", ""});
+        add(files, {0, "", "stop", "", "bob", "c2", "", "", "stop of 2 entities: e2, e3", "OK", ""});
+        add(files, {0, "", "command", "", "Cart", "c3", "", "e1", "TASK", "OK", ""});
+    }
+    EXPECT_THAT(shown({"--entity", "Cart"}), ElementsAre(4, 6, 7, 9));
+    EXPECT_THAT(shown({"--entity", "e2"}), ElementsAre(4, 6, 7, 9));
+    EXPECT_THAT(shown({"--entity", "e1"}), ElementsAre(3, 7, 8, 10));
+}
+
 TEST_F(Audit, VerifyTellsTheLastHashAndFindsItAgain) {
     EXPECT_EQ(axon({"verify", folder.path.string()}), kDone);
     const std::string hash = seen.last("audit_trail")->at("hash");
@@ -109,7 +133,24 @@ TEST_F(Audit, SaysWhatIsWrongWithTheCommand) {
     EXPECT_EQ(axon({"show", "a", "--folder", "b"}), kUsage);
     EXPECT_EQ(axon({"verify", folder.path.string(), "--last", "3"}), kUsage);
     EXPECT_EQ(axon({"show", "--kept", audit::kNoHash}), kUsage);
+    for (const auto& kept :
+         {std::string("abc"), std::string(63, '0'), std::string(65, '0'), std::string(64, 'g')})
+        EXPECT_EQ(axon({"verify", folder.path.string(), "--kept", kept}), kUsage) << kept;
+    const auto said = [this] { return seen.last("error")->at("message").get<std::string>(); };
     const audit::TrailFolder empty;
-    EXPECT_EQ(axon({"verify", empty.path.string()}), kUsage);
-    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("there is no audit trail"));
+    for (const auto* action : {"show", "verify"}) {
+        EXPECT_EQ(axon({action, empty.path.string()}), kUsage);
+        EXPECT_THAT(said(), HasSubstr("there is no audit trail"));
+        EXPECT_EQ(axon({action, (empty.path / "none").string()}), kUsage);
+        EXPECT_THAT(said(), HasSubstr("there is no folder"));
+    }
+    std::filesystem::create_directory_symlink(empty.path / "loop", empty.path / "loop");
+    EXPECT_EQ(axon({"show", (empty.path / "loop").string()}), kUsage);
+    EXPECT_EQ(said().find('\n'), std::string::npos);
+    EXPECT_THAT(said(), HasSubstr("cannot be read"));
+    if (::geteuid() == 0) return;  // who may read everything
+    const audit::TrailFolder closed;
+    std::filesystem::permissions(closed.path, std::filesystem::perms::none);
+    EXPECT_EQ(axon({"show", closed.path.string()}), kUsage);
+    EXPECT_THAT(said(), HasSubstr("fix: run it as the user who runs the program, or as root"));
 }

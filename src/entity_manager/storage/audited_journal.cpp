@@ -46,16 +46,42 @@ void AuditedJournal::note(const JournalRecord& record) const {
                  .outcome = record.code});
 }
 
+/// The dispatches that have their answer. Holds the mutex while it notes: on whichever thread, they are in
+/// the trail before anything that follows from them.
+void AuditedJournal::noteWritten() {
+    const std::lock_guard lock(mutex_);
+    while (!dispatches_.empty() && dispatches_.front().written.ready()) {
+        if (dispatches_.front().written.value()) note(dispatches_.front().record);
+        dispatches_.pop_front();
+    }
+}
+
 bool AuditedJournal::append(const JournalRecord& record) {
     const bool written = journal_.append(record);
+    noteWritten();
     note(record);
     return written;
 }
 
 Later<bool> AuditedJournal::appendDispatch(const JournalRecord& record) {
     auto written = journal_.appendDispatch(record);
-    note(record);
+    {
+        const std::lock_guard lock(mutex_);
+        dispatches_.push_back({record, written});
+    }
+    noteWritten();
     return written;
+}
+
+void AuditedJournal::onAnswer(std::function<void()> come) {
+    if (!come) {
+        journal_.onAnswer({});  // returns when no call is under way
+        return noteWritten();
+    }
+    journal_.onAnswer([this, come = std::move(come)] {
+        noteWritten();
+        come();
+    });
 }
 
 }  // namespace axon::entity_manager

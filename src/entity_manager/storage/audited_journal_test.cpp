@@ -24,7 +24,22 @@ struct KeptJournal final : Journal {
         for (const auto& record : records) each(record);
     }
     std::vector<JournalRecord> records;
-    bool takes = true;
+    Later<bool> appendDispatch(const JournalRecord& record) override {
+        if (answers_at_once) return append(record);
+        records.push_back(record);
+        waiting.push_back(Later<bool>::pending());
+        return waiting.back();
+    }
+    void onAnswer(std::function<void()> come) override { come_ = std::move(come); }
+    /// What the thread of a journal on a disk does.
+    void answer(bool written) {
+        waiting.front().set(written);
+        waiting.erase(waiting.begin());
+        if (come_) come_();
+    }
+    bool takes = true, answers_at_once = true;
+    std::vector<Later<bool>> waiting;
+    std::function<void()> come_;
 };
 
 struct AuditedJournalTest : testing::Test {
@@ -56,11 +71,41 @@ TEST_F(AuditedJournalTest, SaysWhoDidWhatToWhichEntity) {
     EXPECT_EQ(trail.last(), "stop|bob||e2|stopped, generation 7: why|REQUESTED");
 }
 
-TEST_F(AuditedJournalTest, WhatTheJournalDoesNotTakeIsRecordedAndStillRefused) {
+TEST_F(AuditedJournalTest, WhatTheJournalDoesNotTakeIsRecordedUnlessItIsATaskThatMayNotBegin) {
     kept.takes = false;
     EXPECT_FALSE(journal.append({.kind = Kind::Stopped}));
     EXPECT_FALSE(journal.appendDispatch({.kind = Kind::Dispatched}).value());
-    EXPECT_EQ(trail.notes().size(), 2U);
+    EXPECT_THAT(trail.notes(), ElementsAre(StartsWith("stop|")));
+}
+
+TEST_F(AuditedJournalTest, ATaskIsDispatchedWhenTheJournalHasIt) {
+    kept.answers_at_once = false;
+    int come = 0;
+    journal.onAnswer([&] {
+        ++come;
+        EXPECT_EQ(trail.notes().size(), 1U) << "its task may begin before it is recorded";
+    });
+    const auto dispatch = [this](const char* service) {
+        return journal.appendDispatch({.kind = Kind::Dispatched, .service = service});
+    };
+    const auto first = dispatch("Driving"), second = dispatch("Lifting");
+    EXPECT_TRUE(trail.notes().empty());
+    kept.answer(true);
+    kept.answer(false);
+    EXPECT_TRUE(first.value());
+    EXPECT_FALSE(second.value());
+    EXPECT_EQ(come, 2);
+    EXPECT_THAT(trail.notes(), ElementsAre(HasSubstr("dispatched Driving")));
+}
+
+TEST_F(AuditedJournalTest, ATaskIsDispatchedBeforeItEnds) {
+    kept.answers_at_once = false;
+    const auto written = journal.appendDispatch({.kind = Kind::Dispatched, .service = "Driving"});
+    kept.waiting.front().set(true);  // seen by who asks, before the journal says so
+    journal.append({.kind = Kind::TaskEnded, .service = "Driving"});
+    EXPECT_THAT(trail.notes(),
+                ElementsAre(HasSubstr("dispatched Driving"), testing::Not(HasSubstr("dispatched"))));
+    EXPECT_TRUE(written.value());
 }
 
 TEST_F(AuditedJournalTest, WhatIsReadBackIsNotRecordedAgain) {
