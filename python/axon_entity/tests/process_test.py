@@ -374,6 +374,30 @@ def test_a_guard_stops_the_device_of_a_killed_program(start):
     assert robot.line() == "GUARD"
 
 
+def test_a_guard_stops_the_device_of_a_killed_program_of_which_a_fork_lives_on(start):
+    robot = start("""
+        guard = axon_entity.DeviceGuard("device", stop=b"GUARD\\n", silence=10)
+        assert guard.watch(DEVICE)
+        child = os.fork()
+        if child == 0:
+            signal.pause()
+        say(f"{guard.pid} {child}")
+        while True:
+            guard.beat()
+            pause(0.01)
+    """)
+    guard, child = (os.pidfd_open(int(pid)) for pid in robot.line().split())
+    try:
+        robot.child.kill()
+        assert robot.line(5) == "GUARD", "long before it has been silent for 10 s"
+        assert select.select([guard], [], [], 5)[0], "the guard ends"
+        assert not select.select([child], [], [], 0)[0], "and the fork lives"
+    finally:
+        signal.pidfd_send_signal(child, signal.SIGKILL)
+        os.close(guard)
+        os.close(child)
+
+
 @pytest.mark.parametrize("end", ["sys.exit(0)", "del guard; gc.collect(); sys.exit(0)", "[refused(use) for use in uses]; sys.exit(0)"])
 def test_a_fork_can_neither_use_nor_end_the_guard(start, end):
     robot = start(f"""
