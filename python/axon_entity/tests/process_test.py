@@ -429,14 +429,19 @@ def test_a_fork_can_neither_use_nor_end_the_guard(start, end):
 
 def test_a_fork_gives_no_orders(start, ports):
     robot = start("""
-        line = native.write_bytes(DEVICE, b"STOP\\n")
+        line, closes = native.write_bytes(DEVICE, b"STOP\\n"), native.close_fd(os.dup(DEVICE))
+        stream = entity.stream("Where")
         entity.on_stop(line)
         @entity.service("Go")
-        def go(task):
+        def go(task, Count: int = 1):
             warnings.simplefilter("ignore")
             child = os.fork()
             if child == 0:
-                for use in (lambda: task.order(line, b"ORDER\\n"), line.carry_out, lambda: task.wait(1), task.wait_while_paused):
+                for use in (lambda: task.order(line, b"ORDER\\n"), lambda: task.wait(1), task.wait_while_paused, lambda: task["Count"],
+                            lambda: task.units("Count"), lambda: task.cancelled, lambda: task.stop_cause, lambda: task.paused,
+                            lambda: task.progress(0.5), lambda: task.feedback("x"), lambda: stream.wanted,
+                            line.carry_out, lambda: line.watch(DEVICE), line.release, lambda: line.runs, lambda: line.failures,
+                            closes.carry_out, lambda: closes.watch(DEVICE), closes.release, lambda: closes.closed):
                     try:
                         use()
                     except axon_entity.ForkedError:
