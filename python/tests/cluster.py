@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The laboratory of the tests as a cluster over TLS: Axon's programs in processes of their own, and scripted robots that are
 robot applications in Python. It is used as that of support.py."""
-import os
 import pathlib
 import queue
 import selectors
@@ -222,8 +221,7 @@ class Cluster:
     """Servers behind routers, with two users who have certificates. Started once: each test has a ClusterLaboratory in it."""
 
     def __init__(self):
-        low = 5500 + os.getpid() % 24 * 100
-        self.ports = f"{low}-{low + 99}"
+        self.ports = "%d-%d" % laboratory.robot_ports()
         self.lab = laboratory.Laboratory(BIN, environment="cluster")
         self._configurations = {}
         try:
