@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What needs a process of its own: signals, the end of the interpreter, forks, and a blocked interpreter."""
+import concurrent.futures
 import os
 import pathlib
 import select
@@ -512,6 +513,27 @@ def test_the_turntable_of_the_examples_is_told_to_stand_still_before_its_loss_is
     assert "check its cable" in ending.reason
     assert select.select([robot.device], [], [], 0)[0]
     assert robot.device.recv(4096) == b"SPEED 90\nSPEED 0\n"
+
+
+def test_the_motor_of_the_examples_answers_when_it_has_been_started(tmp_path, monkeypatch):
+    """However long its process takes to start: a device thread gives a motor up that does not answer for 0.5 s."""
+    begin, slow = tmp_path / "begin", tmp_path / "slow_python"
+    os.mkfifo(begin)
+    slow.write_text(f'#!/bin/sh\nread _ < {begin}\nexec {sys.executable} "$@"\n')
+    slow.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(slow))
+    monkeypatch.syspath_prepend(EXAMPLES / "06_device")
+    import simulated_motor
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        starts = threads.submit(simulated_motor.start_motor)
+        with begin.open("w") as begins:  # its process is there
+            with pytest.raises(concurrent.futures.TimeoutError):
+                starts.result(0.5)
+            begins.write("\n")
+        with starts.result(20) as line:
+            assert not select.select([line], [], [], 0)[0], "no answer is left over"
+            line.send(b"WHERE\n")
+            assert line.recv(4096).startswith(b"AT 0.0 0.0")
 
 
 @pytest.mark.parametrize("program", ["03_parameters/plotter.py", "04_stop/cart.py", "05_collaboration/shuttle.py", "05_collaboration/arm.py",
