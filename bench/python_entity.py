@@ -10,11 +10,13 @@ Exit status: 1 if something was lost, or the rate was below --least of the wante
 """
 import argparse
 import json
-import os
 import pathlib
 import subprocess
 import sys
 import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "tools"))
+from laboratory import robot_ports  # noqa: E402
 
 FEEDBACK_HZ, FEEDBACK_BYTES = 1000, 100
 IMAGE_HZ, WIDTH, HEIGHT = 30, 640, 480
@@ -95,15 +97,14 @@ def main():
     parser.add_argument("--seconds", type=float, default=10, help="how long each is measured (default: 10)")
     parser.add_argument("--least", type=float, default=0.99, help="bound of the rate, as a part of the wanted one (default: 0.99)")
     parser.add_argument("--json", metavar="FILE", help="write the figures to this file")
-    parser.add_argument("--robot", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--robot", type=int, nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    first = arguments.robot or 5500 + os.getpid() % 24 * 100
-    ports = (first, first + 99)
     if arguments.robot:
-        robot(ports)
+        robot(tuple(arguments.robot))
         return 0
+    ports = robot_ports()
     from axon_entity.testing import ScriptedManager
-    child = subprocess.Popen([sys.executable, __file__, "--robot", str(first)])
+    child = subprocess.Popen([sys.executable, __file__, "--robot", *map(str, ports)])
     ok, figures = True, {}
     try:
         manager = ScriptedManager("Bench", ports=ports)

@@ -26,6 +26,12 @@ def programs():
     return place
 
 
+def robot_ports():
+    """The first and the last port of a range for the robot applications of this process's own."""
+    first = 5500 + os.getpid() % 24 * 100
+    return first, first + 99
+
+
 class Failed(Exception):
     """Something did not do what it should; the text says what was expected and what came."""
 

@@ -587,7 +587,8 @@ class Lab:
         self._loop = Loop()
         self._readers: "set[Reader]" = set()
         self._fans: Dict[str, _native.Feed] = {}
-        self._fans_of: Dict[str, Dict[str, _native.Feed]] = {}  # of the newest check-out of each entity, by its UUID
+        # Of the newest check-out of each entity, by its UUID; the text is its ticket.
+        self._fans_of: Dict[str, Tuple[str, Dict[str, _native.Feed]]] = {}
         self._dropped = 0  # by readers that are closed
 
     @property
@@ -698,7 +699,7 @@ class Lab:
                 if natives:
                     threading.Thread(target=release_all, args=(natives,), name="axon-request", daemon=True).start()
                 raise
-            return Robots(self._robot(native, new=True) for native in natives)
+            return Robots(self._robot(native) for native in natives)
 
         async def tell(reader: Reader) -> None:
             while True:
@@ -713,18 +714,21 @@ class Lab:
         """As axon.Lab.resume()."""
         give_up = _native.GiveUp()
         natives = await in_thread(lambda: granted_by(lambda granted: self._native.resume(ticket, give_up, granted)), give_up, release_all)
-        return self._robot(natives[0], new=True)
+        return self._robot(natives[0])
 
     def held(self) -> Robots:
         """As axon.Lab.held()."""
-        return Robots(self._robot(native, new=False) for native in self._native.held())
+        return Robots(self._robot(native) for native in self._native.held())
 
-    def _robot(self, native: _native.CheckOut, new: bool) -> Robot:
-        """`new`: it was checked out by this; otherwise what it is told goes to the Robot that stands for it already, too."""
-        entity = native.entity().id
-        if new or entity not in self._fans_of:
-            self._fans_of[entity] = {}
-        return Robot(self, native, self._fans_of[entity])
+    def _robot(self, native: _native.CheckOut) -> Robot:
+        """What it is told goes to the Robot that stands for the same check-out already, too, if there is one."""
+        entity, ticket = native.entity().id, native.ticket()
+        known, fans = self._fans_of.get(entity, ("", {}))
+        if known != ticket:
+            fans = {}
+            if ticket:  # otherwise the lease has ended, and another one may be known
+                self._fans_of[entity] = ticket, fans
+        return Robot(self, native, fans)
 
     async def stop(self, *entities: Any, deadline: float = 1.0, standstill: float = 0.0) -> Receipts:
         """As axon.Lab.stop(). Look at `confirmed` of what it returns."""

@@ -791,7 +791,7 @@ class Lab:
         self._queues: "weakref.WeakSet[queue.SimpleQueue[Optional[Event]]]" = weakref.WeakSet()
         self._entity_told: List[EntityTold] = []
         self._connection_told: List[Callable[[bool, str], None]] = []
-        self._told: Dict[str, Told] = {}  # of the newest check-out of each entity, by its UUID
+        self._told: Dict[str, Tuple[str, Told]] = {}  # of the newest check-out of each entity, by its UUID; the text is its ticket
         self._listens = False
         self._lock = threading.Lock()
         _open.add(self)
@@ -960,7 +960,7 @@ class Lab:
         granted: List[_native.CheckOut] = []
         try:
             ask(feed, tag, granted)
-            return Robots(self._robot(native, new=True) for native in granted)
+            return Robots(self._robot(native) for native in granted)
         except BaseException:
             release_all(granted)
             raise
@@ -970,15 +970,19 @@ class Lab:
 
     def held(self) -> Robots:
         """The entities that this client holds now."""
-        return Robots(self._robot(native, new=False) for native in self._native.held())
+        return Robots(self._robot(native) for native in self._native.held())
 
-    def _robot(self, native: _native.CheckOut, new: bool) -> Robot:
-        """`new`: it was checked out by this; otherwise its callbacks are those of the Robot that stands for it already."""
+    def _robot(self, native: _native.CheckOut) -> Robot:
+        """Its callbacks are those of the Robot that stands for the same check-out already, if there is one."""
         entity = native.entity().id
         with self._lock:
-            if new or entity not in self._told:
-                self._told[entity] = Told(native, self._callbacks)
-            return Robot(self, native, self._told[entity])
+            ticket = native.ticket()
+            known, told = self._told.get(entity, ("", None))
+            if told is None or known != ticket:
+                told = Told(native, self._callbacks)
+                if ticket:  # otherwise the lease has ended, and another one may be known
+                    self._told[entity] = ticket, told
+            return Robot(self, native, told)
 
     def stop(self, *entities: Named, deadline: float = 1.0, standstill: float = 0.0) -> Receipts:
         """Stops entities, whoever holds them; without a name, every entity. They are latched then.

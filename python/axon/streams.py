@@ -36,6 +36,7 @@ class Sample:
 
     @property
     def stream(self) -> str:
+        """The name of the stream that brought it."""
         return self._native.stream
 
     @property

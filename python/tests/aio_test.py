@@ -193,6 +193,33 @@ def test_several_may_iterate_over_the_same(laboratory):
     run(work())
 
 
+def test_whoever_asks_what_is_held_while_a_robot_is_granted_is_told_too(laboratory):
+    entity = laboratory.add()
+
+    class Grants:
+        def __init__(self, lab):
+            self.lab, self.native, self.loop = lab, lab._native, asyncio.get_running_loop()
+
+        def __getattr__(self, name):
+            return getattr(self.native, name)
+
+        def check_out(self, *arguments):
+            self.native.check_out(*arguments)
+            asyncio.run_coroutine_threadsafe(self.ask(), self.loop).result(10)
+
+        async def ask(self):
+            self.texts = self.lab.held()[0].texts()
+
+    async def work():
+        async with axon.aio.connect(laboratory.server) as lab:
+            lab._native = grants = Grants(lab)
+            texts = (await lab.checkout("PeopleBot")).texts()
+            entity.do("text", text="both")
+            for each in (texts, grants.texts):
+                assert await asyncio.wait_for(each.__anext__(), 10) == "both"
+    run(work())
+
+
 def test_a_result_that_has_come_when_the_task_is_cancelled_is_handed_over():
     """Between the answer and the coroutine that waits for it, the loop runs others; one of them cancels it."""
     async def work():

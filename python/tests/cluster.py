@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """The laboratory of the tests as a cluster over TLS: Axon's programs in processes of their own, and scripted robots that are
 robot applications in Python. It is used as that of support.py."""
-import os
 import pathlib
 import queue
 import selectors
@@ -43,7 +42,8 @@ class Valve:
     def end(self):
         self._ends = True
         self._tell(True)
-        self._thread.join()
+        self._thread.join(10)
+        assert not self._thread.is_alive(), "the relay does not end"
         for each in (self._listening, self._told, self._tells):
             each.close()
 
@@ -51,7 +51,7 @@ class Valve:
         self._is_cut = cut
         self._passed.clear()
         self._tells.send(b".")
-        self._passed.wait(10)
+        assert self._passed.wait(10), "the relay does not heed what it is told"
 
     def _drop(self, end):
         for each in (end, self._peers.get(end)):
@@ -61,11 +61,17 @@ class Valve:
                 each.close()
 
     def _admit(self):
-        near, _ = self._listening.accept()
-        if self._is_cut:
+        try:
+            near, _ = self._listening.accept()
+        except OSError:  # whoever connected has gone
+            return
+        try:
+            far = None if self._is_cut else socket.create_connection(self._target)
+        except OSError:
+            far = None
+        if far is None:
             near.close()
             return
-        far = socket.create_connection(self._target)
         self._peers.update({near: far, far: near})
         for each in (near, far):
             each.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -84,13 +90,16 @@ class Valve:
         with selectors.DefaultSelector() as self._selector:
             for each in (self._listening, self._told):
                 self._selector.register(each, selectors.EVENT_READ)
-            while not self._ends:
+            while True:
                 for key, _ in self._selector.select():
                     if key.fileobj is self._told:
                         self._told.recv(4096)
                         while self._is_cut and self._peers:
                             self._drop(next(iter(self._peers)))
+                        ends = self._ends
                         self._passed.set()
+                        if ends:
+                            return
                     elif key.fileobj is self._listening:
                         self._admit()
                     elif key.fileobj in self._peers:
@@ -212,8 +221,7 @@ class Cluster:
     """Servers behind routers, with two users who have certificates. Started once: each test has a ClusterLaboratory in it."""
 
     def __init__(self):
-        low = 5500 + os.getpid() % 24 * 100
-        self.ports = f"{low}-{low + 99}"
+        self.ports = "%d-%d" % laboratory.robot_ports()
         self.lab = laboratory.Laboratory(BIN, environment="cluster")
         self._configurations = {}
         try:
@@ -265,6 +273,7 @@ class ClusterLaboratory:
         self.cluster = cluster
         self.folder = pathlib.Path(folder)
         self._robots, self._valves = [], []
+        self._is_killed = False  # its server
 
     def options(self, name="client1@lab"):
         """What connects a client of this name; the user is what comes before the @."""
@@ -279,10 +288,12 @@ class ClusterLaboratory:
         """It has."""
 
     def kill_server(self):
+        self._is_killed = True
         self.cluster.lab.server.do("kill", "fe1")
 
     def restart_server(self):
         self.cluster.lab.server.do("restart", "fe1")
+        self._is_killed = False
 
     def cut(self):
         self._valves[-1].cut()
@@ -299,6 +310,8 @@ class ClusterLaboratory:
         return robot
 
     def end(self):
+        if self._is_killed:  # the test has failed before it restarted it; the cluster is the next test's, too
+            self.restart_server()
         for robot in self._robots:
             robot.end()
         for valve in self._valves:

@@ -374,6 +374,26 @@ def test_every_object_that_stands_for_a_robot_is_told(laboratory, robot, client)
     wait_until(lambda: first == second == ["both"], "told")
 
 
+def test_whoever_asks_what_is_held_while_a_robot_is_granted_is_told_too(laboratory, robot, client):
+    class Grants:
+        def __init__(self):
+            self.native = lab._native
+
+        def __getattr__(self, name):
+            return getattr(self.native, name)
+
+        def check_out(self, *arguments):
+            self.native.check_out(*arguments)
+            lab.held()[0].on_text(first.append)
+
+    lab = client()
+    lab._native = Grants()
+    first, second = [], []
+    lab.checkout("PeopleBot").on_text(second.append)
+    robot.do("text", text="both")
+    wait_until(lambda: first == second == ["both"], "told")
+
+
 def test_an_exit_in_a_callback_ends_no_other_callback(laboratory, robot, client, caplog):
     lab = client()
     held = lab.checkout("PeopleBot")

@@ -41,7 +41,9 @@ constexpr auto kLook = 10ms;
 constexpr auto kRepeat = 50ms;
 constexpr auto kHold = 300ms;
 constexpr std::size_t kStopMax = 1024;
-constexpr int kPriority = 31;  // above the threads that it watches
+constexpr int kPriority = 31;                // above the threads that it watches
+constexpr int kControl = STDERR_FILENO + 1;  // in the guard's process
+constexpr int kApplication = kControl + 1;
 
 /// What both processes see.
 struct Page {
@@ -87,24 +89,21 @@ bool sendMessage(int control, Message message, int descriptor) {
 
 class Guard {
   public:
-    Guard(Page& page, int control, const std::string& stop, Duration silence, const std::string& when_silent,
+    Guard(Page& page, const std::string& stop, Duration silence, const std::string& when_silent,
           const std::string& when_gone)
-        : page_(page),
-          control_(control),
-          stop_(stop),
-          silence_(silence),
-          when_silent_(when_silent),
-          when_gone_(when_gone) {}
+        : page_(page), stop_(stop), silence_(silence), when_silent_(when_silent), when_gone_(when_gone) {}
 
     [[noreturn]] void run() {
-        pollfd wait{control_, POLLIN, 0};
+        // A fork of the application that outlives it keeps the control connection open.
+        std::array<pollfd, 2> wait{{{kControl, POLLIN, 0}, {kApplication, POLLIN, 0}}};
         while (true) {
             const timespec look{0, Duration{kLook}.count()};
-            ::ppoll(&wait, 1, device_.open() ? &look : nullptr, nullptr);
+            ::ppoll(wait.data(), wait.size(), device_.open() ? &look : nullptr, nullptr);
             page_.looks.fetch_add(1, std::memory_order_release);
             const auto now = clock_.now();
-            if (wait.revents != 0 && !hear(now)) {
-                wait.fd = -1;  // the application has ended
+            // First whatever the application has said before its end.
+            if (wait[0].revents != 0 ? !hear(now) : wait[1].revents != 0) {
+                wait[0].fd = wait[1].fd = -1;  // the application has ended
                 gone_ = true;
                 if (!device_.open()) ::_exit(0);
                 if (!holding_) hold(when_gone_, now);
@@ -127,7 +126,7 @@ class Guard {
         header.msg_iovlen = 1;
         header.msg_control = extra.bytes.data();
         header.msg_controllen = extra.bytes.size();
-        const auto got = ::recvmsg(control_, &header, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
+        const auto got = ::recvmsg(kControl, &header, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
         if (got < 0 && (errno == EAGAIN || errno == EINTR)) return true;
         if (got != static_cast<ssize_t>(sizeof message)) return false;
         letGo();
@@ -185,7 +184,6 @@ class Guard {
 
     const SteadyClock clock_{};
     Page& page_;
-    const int control_;
     const std::string& stop_;
     SilenceCount silence_;
     const std::string& when_silent_;
@@ -200,8 +198,8 @@ class Guard {
 };
 
 /// Leaves nothing of the application in the guard's process: no handlers, no terminal, no descriptors but
-/// that of the control connection, which it returns, and standard error.
-int becomeGuard(int control) {
+/// kControl, kApplication and standard error.
+void becomeGuard(int control, int application) {
     for (int signal = 1; signal < NSIG; ++signal) ::signal(signal, SIG_DFL);
     for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGTSTP, SIGTTIN, SIGTTOU, SIGPIPE})
         ::signal(signal, SIG_IGN);
@@ -213,18 +211,20 @@ int becomeGuard(int control) {
     sched_param param{};
     param.sched_priority = kPriority;
     ::sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &param);  // where that is permitted
-    constexpr int kControl = STDERR_FILENO + 1;
-    if (control != kControl) ::dup2(control, kControl);
+    application = ::fcntl(application, F_DUPFD, kApplication);          // away from kControl
+    if (application < 0) ::_exit(1);
+    ::dup2(control, kControl);
+    ::dup2(application, kApplication);
     const int nothing = ::open("/dev/null", O_RDWR);
     ::dup2(nothing, STDIN_FILENO);
     ::dup2(nothing, STDOUT_FILENO);
-    if (::close_range(kControl + 1, ~0U, 0) != 0) {  // of a kernel before 5.9
+    if (::close_range(kApplication + 1, ~0U, 0) != 0) {  // of a kernel before 5.9
         rlimit most{};
         ::getrlimit(RLIMIT_NOFILE, &most);
-        for (int fd = kControl + 1; fd < static_cast<int>(std::min<rlim_t>(most.rlim_cur, 1U << 20U)); ++fd)
+        for (int fd = kApplication + 1; fd < static_cast<int>(std::min<rlim_t>(most.rlim_cur, 1U << 20U));
+             ++fd)
             ::close(fd);
     }
-    return kControl;
 }
 
 }  // namespace
@@ -328,6 +328,8 @@ class DeviceGuard::Desk {
             " was gone or frozen; the device was stopped, and is guarded again after the next connect");
     }
     bool startGuard() {
+        const Descriptor application(::pidfd_open(::getpid(), 0));
+        if (!application.open()) return false;  // of a kernel before 5.3
         std::array<int, 2> ends{};
         if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0) return false;
         Descriptor own(ends[0]);
@@ -337,10 +339,10 @@ class DeviceGuard::Desk {
         sigfillset(&all);
         ::pthread_sigmask(SIG_SETMASK, &all, &former);
         const int pid = ::fork();
-        if (pid == 0)
-            Guard(*page_, becomeGuard(guards.get()), options_.stop, options_.silence, when_silent_,
-                  when_gone_)
-                .run();
+        if (pid == 0) {
+            becomeGuard(guards.get(), application.get());
+            Guard(*page_, options_.stop, options_.silence, when_silent_, when_gone_).run();
+        }
         const int error = errno;
         ::pthread_sigmask(SIG_SETMASK, &former, nullptr);
         errno = error;
@@ -349,7 +351,7 @@ class DeviceGuard::Desk {
         control_ = std::move(own);
         pid_ = pid;
         if (process_.open()) return true;
-        ::kill(pid, SIGKILL);  // of a kernel before 5.3
+        ::kill(pid, SIGKILL);
         ::waitpid(pid, nullptr, 0);
         pid_ = 0;
         return false;

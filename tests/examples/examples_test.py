@@ -7,7 +7,6 @@
 A laboratory of real processes on free ports. In a README, a console block that begins with the program is what
 it prints; tests/tutorials/console.py says what … stands for.
 """
-import os
 import pathlib
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tests" / "tutorials")]
 import console  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
 BIN = programs()
 EXAMPLES = ROOT / "examples"
@@ -34,12 +33,11 @@ def shown(example, program):
 class ExamplesTest(unittest.TestCase):
     def start(self, entity, example, application):
         """A laboratory with one entity, whose application has its own range of ports."""
-        first = 5500 + os.getpid() % 20 * 100
         self.lab = Laboratory(BIN, environment="embedded")
         self.addCleanup(keep_if_failed, self, self.lab.folder)
         self.addCleanup(self.lab.end)
         ports = self.lab.folder / "ports.cfg"
-        ports.write_text(f"Axon.Ports = {first}-{first + 99}\n")
+        ports.write_text("Axon.Ports = %d-%d\n" % robot_ports())
         self.lab.start_server()
         self.application = self.lab.start("application", entity, EXAMPLES / example, ports)
         self.manager = self.lab.start("manager", "axon-entity-manager", "--application", application, "--ports-file", ports,

@@ -11,10 +11,13 @@ import time
 
 
 def start_motor() -> socket.socket:
-    """Starts it, and returns the program's end of the line."""
+    """Starts it, and returns the program's end of the line when it answers."""
     ours, theirs = socket.socketpair()
     subprocess.Popen([sys.executable, __file__, str(theirs.fileno())], pass_fds=[theirs.fileno()], start_new_session=True)
     theirs.close()
+    ours.send(b"WHERE\n")
+    while ours.recv(1) not in (b"\n", b""):
+        pass
     return ours
 
 

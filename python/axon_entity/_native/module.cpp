@@ -152,6 +152,14 @@ void defineTypes(py::module_& module) {
     py::class_<ClockOfTest>(module, "ClockOfTest", "A clock of axon_entity.testing.");
 }
 
+/// A task, a stream or a stop action, in the process to which it belongs: in a fork, a lock of it may be held
+/// for ever.
+template <class Thing>
+Thing& owned(Thing& thing) {
+    checkProcessOfTasks();
+    return thing;
+}
+
 /// The values of a parameter as it is now. The library's readers say so by an exception where the type
 /// differs.
 py::list valuesNow(const axon::Task& task, const std::string& name) {
@@ -182,11 +190,11 @@ void defineTask(py::module_& module) {
     py::class_<Task>(module, "Task")
         .def_property_readonly("id", &Task::id)
         .def_property_readonly("service", &Task::service)
-        .def("has", [](const Task& task, const std::string& name) { return task.has(name); })
-        .def("values", [](const Task& task, const std::string& name) { return valuesNow(task, name); })
-        .def("units", [](const Task& task, const std::string& name) { return task.units(name); })
+        .def("has", [](const Task& task, const std::string& name) { return owned(task).has(name); })
+        .def("values", [](const Task& task, const std::string& name) { return valuesNow(owned(task), name); })
+        .def("units", [](const Task& task, const std::string& name) { return owned(task).units(name); })
         .def("resource",
-             [](const Task& task, const std::string& name) { return task.resource(name).string(); })
+             [](const Task& task, const std::string& name) { return owned(task).resource(name).string(); })
         .def("progress",
              [](Task& task, double part) {
                  checkProcessOfTasks();
@@ -206,9 +214,9 @@ void defineTask(py::module_& module) {
                  const py::gil_scoped_release others;
                  task.result(name, std::move(values), units);
              })
-        .def_property_readonly("stop_requested", [](const Task& task) { return task.stopRequested(); })
-        .def_property_readonly("stop_cause", [](const Task& task) { return task.stopCause(); })
-        .def_property_readonly("paused", [](const Task& task) { return task.paused(); })
+        .def_property_readonly("stop_requested", [](const Task& task) { return owned(task).stopRequested(); })
+        .def_property_readonly("stop_cause", [](const Task& task) { return owned(task).stopCause(); })
+        .def_property_readonly("paused", [](const Task& task) { return owned(task).paused(); })
         .def(
             "wait_while_paused",
             [](const Task& task) {
@@ -247,7 +255,7 @@ void send(axon::Stream& stream, const Sample&... sample) {
 void defineStream(py::module_& module) {
     using axon::Stream;
     py::class_<Stream>(module, "Stream")
-        .def_property_readonly("wanted", [](const Stream& stream) { return stream.wanted(); })
+        .def_property_readonly("wanted", [](const Stream& stream) { return owned(stream).wanted(); })
         .def("value",
              [](Stream& stream, double value, const std::string& units) { send(stream, value, units); })
         .def("values", [](Stream& stream, const py::object& values,
@@ -338,14 +346,18 @@ void defineStopActions(py::module_& module) {
                 action.carryOut();
             },
             Others())
-        .def_property_readonly("runs", &StopAction::runs)
-        .def_property_readonly("failures", &StopAction::failures)
+        .def_property_readonly("runs", [](const StopAction& action) { return owned(action).runs(); })
+        .def_property_readonly("failures", [](const StopAction& action) { return owned(action).failures(); })
         .def("__repr__", [](const StopAction& action) { return "<" + action.describe() + ">"; });
     py::class_<CloseDescriptor, StopAction, std::shared_ptr<CloseDescriptor>>(module, "CloseDescriptor")
         .def(py::init<int>())
-        .def("watch", &CloseDescriptor::watch, Others())
-        .def("release", &CloseDescriptor::release, Others())
-        .def_property_readonly("closed", &CloseDescriptor::closed);
+        .def(
+            "watch", [](CloseDescriptor& action, int descriptor) { owned(action).watch(descriptor); },
+            Others())
+        .def(
+            "release", [](CloseDescriptor& action) { owned(action).release(); }, Others())
+        .def_property_readonly("closed",
+                               [](const CloseDescriptor& action) { return owned(action).closed(); });
     py::class_<WriteBytes, StopAction, std::shared_ptr<WriteBytes>>(module, "WriteBytes")
         .def(py::init([](int descriptor, const py::bytes& bytes, double within) {
             return std::make_shared<WriteBytes>(descriptor, bytes, Seconds(within));
@@ -360,8 +372,10 @@ void defineStopActions(py::module_& module) {
                  const py::gil_scoped_release others;
                  return action.order([&] { return task.stopRequested(); }, order);
              })
-        .def("watch", &WriteBytes::watch, Others())
-        .def("release", &WriteBytes::release, Others());
+        .def(
+            "watch", [](WriteBytes& action, int descriptor) { owned(action).watch(descriptor); }, Others())
+        .def(
+            "release", [](WriteBytes& action) { owned(action).release(); }, Others());
     py::class_<RunCommand, StopAction, std::shared_ptr<RunCommand>>(module, "RunCommand")
         .def(py::init([](std::vector<std::string> words, double within) {
             return std::make_shared<RunCommand>(std::move(words), Seconds(within));

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: MIT
-import os
+import pathlib
+import sys
 
 import pytest
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[3] / "tools"))
+from laboratory import robot_ports  # noqa: E402
 
 
 @pytest.fixture
 def ports():
     """A range of ports of this process's own."""
-    first = 5500 + os.getpid() % 24 * 100
-    return (first, first + 99)
+    return robot_ports()

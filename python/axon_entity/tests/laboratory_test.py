@@ -11,7 +11,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT / "tools"))
-from laboratory import Laboratory, Process, wait_until  # noqa: E402
+from laboratory import Laboratory, Process, robot_ports, wait_until  # noqa: E402
 
 BIN = pathlib.Path(os.environ["AXON_BIN"])
 EXAMPLES = ROOT / "examples" / "python"
@@ -20,9 +20,8 @@ EXAMPLES = ROOT / "examples" / "python"
 class World:
     def __init__(self):
         self.lab = Laboratory(BIN, environment="embedded")
-        first = 5500 + os.getpid() % 24 * 100
         self.ports = self.lab.folder / "ports.cfg"
-        self.ports.write_text(f"Axon.Ports = {first}-{first + 99}\n")
+        self.ports.write_text("Axon.Ports = %d-%d\n" % robot_ports())
         self.lab.start_server()
 
     def start(self, program, application, name):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What needs a process of its own: signals, the end of the interpreter, forks, and a blocked interpreter."""
+import concurrent.futures
 import os
 import pathlib
 import select
@@ -374,6 +375,30 @@ def test_a_guard_stops_the_device_of_a_killed_program(start):
     assert robot.line() == "GUARD"
 
 
+def test_a_guard_stops_the_device_of_a_killed_program_of_which_a_fork_lives_on(start):
+    robot = start("""
+        guard = axon_entity.DeviceGuard("device", stop=b"GUARD\\n", silence=10)
+        assert guard.watch(DEVICE)
+        child = os.fork()
+        if child == 0:
+            signal.pause()
+        say(f"{guard.pid} {child}")
+        while True:
+            guard.beat()
+            pause(0.01)
+    """)
+    guard, child = (os.pidfd_open(int(pid)) for pid in robot.line().split())
+    try:
+        robot.child.kill()
+        assert robot.line(5) == "GUARD", "long before it has been silent for 10 s"
+        assert select.select([guard], [], [], 5)[0], "the guard ends"
+        assert not select.select([child], [], [], 0)[0], "and the fork lives"
+    finally:
+        signal.pidfd_send_signal(child, signal.SIGKILL)
+        os.close(guard)
+        os.close(child)
+
+
 @pytest.mark.parametrize("end", ["sys.exit(0)", "del guard; gc.collect(); sys.exit(0)", "[refused(use) for use in uses]; sys.exit(0)"])
 def test_a_fork_can_neither_use_nor_end_the_guard(start, end):
     robot = start(f"""
@@ -405,14 +430,19 @@ def test_a_fork_can_neither_use_nor_end_the_guard(start, end):
 
 def test_a_fork_gives_no_orders(start, ports):
     robot = start("""
-        line = native.write_bytes(DEVICE, b"STOP\\n")
+        line, closes = native.write_bytes(DEVICE, b"STOP\\n"), native.close_fd(os.dup(DEVICE))
+        stream = entity.stream("Where")
         entity.on_stop(line)
         @entity.service("Go")
-        def go(task):
+        def go(task, Count: int = 1):
             warnings.simplefilter("ignore")
             child = os.fork()
             if child == 0:
-                for use in (lambda: task.order(line, b"ORDER\\n"), line.carry_out, lambda: task.wait(1), task.wait_while_paused):
+                for use in (lambda: task.order(line, b"ORDER\\n"), lambda: task.wait(1), task.wait_while_paused, lambda: task["Count"],
+                            lambda: task.units("Count"), lambda: task.cancelled, lambda: task.stop_cause, lambda: task.paused,
+                            lambda: task.progress(0.5), lambda: task.feedback("x"), lambda: stream.wanted,
+                            line.carry_out, lambda: line.watch(DEVICE), line.release, lambda: line.runs, lambda: line.failures,
+                            closes.carry_out, lambda: closes.watch(DEVICE), closes.release, lambda: closes.closed):
                     try:
                         use()
                     except axon_entity.ForkedError:
@@ -483,6 +513,27 @@ def test_the_turntable_of_the_examples_is_told_to_stand_still_before_its_loss_is
     assert "check its cable" in ending.reason
     assert select.select([robot.device], [], [], 0)[0]
     assert robot.device.recv(4096) == b"SPEED 90\nSPEED 0\n"
+
+
+def test_the_motor_of_the_examples_answers_when_it_has_been_started(tmp_path, monkeypatch):
+    """However long its process takes to start: a device thread gives a motor up that does not answer for 0.5 s."""
+    begin, slow = tmp_path / "begin", tmp_path / "slow_python"
+    os.mkfifo(begin)
+    slow.write_text(f'#!/bin/sh\nread _ < {begin}\nexec {sys.executable} "$@"\n')
+    slow.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(slow))
+    monkeypatch.syspath_prepend(EXAMPLES / "06_device")
+    import simulated_motor
+    with concurrent.futures.ThreadPoolExecutor() as threads:
+        starts = threads.submit(simulated_motor.start_motor)
+        with begin.open("w") as begins:  # its process is there
+            with pytest.raises(concurrent.futures.TimeoutError):
+                starts.result(0.5)
+            begins.write("\n")
+        with starts.result(20) as line:
+            assert not select.select([line], [], [], 0)[0], "no answer is left over"
+            line.send(b"WHERE\n")
+            assert line.recv(4096).startswith(b"AT 0.0 0.0")
 
 
 @pytest.mark.parametrize("program", ["03_parameters/plotter.py", "04_stop/cart.py", "05_collaboration/shuttle.py", "05_collaboration/arm.py",
