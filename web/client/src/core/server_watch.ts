@@ -86,7 +86,8 @@ export class ServerWatch {
     }
     /** `lateMs`: how much later than it was to this call comes. */
     awayFor(lateMs: number): void {
-        if (lateMs > AWAY_MS) this.backAt = this.parts.context.now();
+        // Once until something comes: if every call is late, as with timers that a browser slows down, silence still counts.
+        if (lateMs > AWAY_MS && this.heardAt >= this.backAt) this.backAt = this.parts.context.now();
     }
     /** Sends a heartbeat if one is due and, while a task runs, the program permits it. Asks the server for one. */
     onTimer(keepRunning: () => boolean): void {

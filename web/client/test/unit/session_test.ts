@@ -254,6 +254,21 @@ test("A program that was frozen does not call the server silent when it goes on"
     assert.deepEqual(said, [false]);
 });
 
+test("A program whose timers ring once in a second calls a silent server silent, and gives it up", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    for (let i = 0; i < 5; ++i) {
+        await clock.advanceThrottled(1000, 1000);
+        server.events.heartbeat();
+    }
+    assert.deepEqual(said, [false]);
+    await clock.advanceThrottled(2000, 1000);
+    assert.deepEqual([client.connection().kind, said], ["connected", [false, true]]);
+    await clock.advanceThrottled(9000, 1000);
+    assert.equal(client.connection().kind, "lost");
+    assert.match(client.connection().reason, /silent/);
+});
+
 test("A server that was silent before the program was frozen stays silent until it is heard", async () => {
     const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
     const said = silences(client);

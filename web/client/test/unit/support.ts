@@ -38,6 +38,10 @@ export class FakeClock implements Clock {
         this.time = end;
         await settle();
     }
+    /** As when a browser slows timers down: whatever is due rings together, each `every` ms. */
+    async advanceThrottled(ms: number, every: number): Promise<void> {
+        for (let gone = 0; gone < ms; gone += every) await this.freeze(every);
+    }
     /** As when a tab was frozen: time passes, and nothing rings until the end. */
     async freeze(ms: number): Promise<void> {
         this.time += ms;
