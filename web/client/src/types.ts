@@ -159,7 +159,7 @@ export interface ConnectionReport {
     readonly kind: ConnectionKind;
     /** How long ago the connection was made, or lost, or closed: lost and reconnecting count from the loss. */
     readonly ageMs: number;
-    /** Since when nothing has come from the server. Unless it is asked (`silent`), it sends a sign of life every 2 s while no task runs. */
+    /** For how long nothing has come from the server. Unless it is asked (`silent`), it sends a sign of life every 2 s while no task runs. */
     readonly silentMs: number;
     /** Of "connected": nothing has come for Options.noticeSilenceMs. False until then, and again when something comes. */
     readonly silent: boolean;
