@@ -18,6 +18,8 @@ export class ServerWatch {
     /** Nothing has come for Settings.noticeMs. It stays so until something comes. */
     silent = false;
     private heardAt: number;
+    /** The same on Clock.date(). */
+    heardDate: number;
     /** This program was away until then, so that silence counts from there. */
     private backAt = -Infinity;
     /** The heartbeats of the server are fast since then. */
@@ -28,6 +30,7 @@ export class ServerWatch {
 
     constructor(private readonly parts: Parts) {
         this.heardAt = parts.context.now();
+        this.heardDate = parts.context.clock.date();
     }
 
     connected(busyMs: number, idleMs: number): void {
@@ -46,6 +49,7 @@ export class ServerWatch {
     }
     heard(): void {
         this.heardAt = this.parts.context.now();
+        this.heardDate = this.parts.context.clock.date();
         this.silent = false;
     }
     get silentMs(): number {

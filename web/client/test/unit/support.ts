@@ -12,9 +12,17 @@ export const settle = async (): Promise<void> => {
 
 export class FakeClock implements Clock {
     private time = 1000;
+    private asleep = 1_700_000_000_000;
     private readonly alarms = new Set<{ at: number; ring: () => void }>();
     now(): number {
         return this.time;
+    }
+    date(): number {
+        return this.asleep + this.time;
+    }
+    /** As when the computer sleeps: only the date goes on. */
+    sleep(ms: number): void {
+        this.asleep += ms;
     }
     alarm(ring: () => void): { set(at: number): void; end(): void } {
         const one = { at: Infinity, ring };

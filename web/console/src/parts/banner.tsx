@@ -28,14 +28,14 @@ export function Banner(): preact.JSX.Element | null {
         return (
             <div class="banner wait" role="alert">
                 <strong>The server does not answer</strong>
-                <span aria-hidden="true">: nothing for {formatSpan(report.silentMs)}</span>. What you see is from {formatClock(since)}. {held("is stopped if this lasts")}
+                <span aria-hidden="true">: nothing for {formatSpan(Math.max(Date.now() - since, 0))}</span>. What you see is from {formatClock(since)}. {held("is stopped if this lasts")}
                 Stops from this page may arrive late or not at all: use the emergency stop of the robot itself.
             </div>
         );
     }
     return (
         <div class="banner bad" role="alert">
-            <strong>No connection to the server</strong> <span aria-hidden="true">for {formatSpan(report.ageMs)}</span>. What you see is from {formatClock(since)}. {held("is stopped without this page")}
+            <strong>No connection to the server</strong> <span aria-hidden="true">for {formatSpan(Math.max(Date.now() - since, 0))}</span>. What you see is from {formatClock(since)}. {held("is stopped without this page")}
             Stops from this page may not arrive: use the emergency stop of the robot itself.{" "}
             <span class="quiet">
                 {sentence(report.reason)} <span aria-hidden="true">Trying again{report.nextTryMs === undefined ? " now" : ""}.</span>

@@ -194,7 +194,7 @@ function heldTime(now) {
 /** A client whose news a test tells. */
 class ToldClient {
     connected = true;
-    silentMs = 0;
+    heardAt = 1_000_000;
     ageMs = 60_000;
     there = [];
     tell = { entity: () => {}, connection: () => {} };
@@ -207,7 +207,7 @@ class ToldClient {
         return () => {};
     }
     connection() {
-        return { kind: this.connected ? "connected" : "lost", silentMs: this.silentMs, ageMs: this.ageMs };
+        return { kind: this.connected ? "connected" : "lost", heardAt: this.heardAt, ageMs: this.ageMs };
     }
     entities() {
         return this.there;
@@ -228,20 +228,25 @@ test("WhileTheServerIsSilentWhatIsShownIsOfWhenItWasLastHeard", async () => {
         time.advance(50);
         assert.deepEqual(shown("a"), [true, 1_000_000]);
         time.advance(5000);
-        client.silentMs = 700;
+        client.heardAt = 1_004_350;
         client.tell.connection({ silent: true });
         time.advance(50);
         assert.deepEqual(shown("a"), [false, 1_004_350]);
         // However long: it is not forgotten as one that has not come back.
-        client.silentMs += 20_000;
         time.advance(20_000);
         assert.deepEqual(shown("a"), [false, 1_004_350]);
-        client.silentMs = 0;
         client.tell.connection({ silent: false });
         time.advance(50);
         assert.deepEqual(shown("a"), [true, 1_000_000]);
+        // The computer sleeps for a night before the silence is told.
+        client.heardAt = 1_025_000;
+        time.advance(9 * 3_600_000);
+        client.tell.connection({ silent: true });
+        time.advance(50);
+        assert.deepEqual(shown("a"), [false, 1_025_000]);
+        client.tell.connection({ silent: false });
         // A connection that is lost after a silence: of when the server was last heard, too.
-        client.silentMs = 1000;
+        client.heardAt = 1_024_150;
         client.connected = false;
         client.tell.entity({ presence: "left", entity: { id: "a", name: "a", xMm: 0, yMm: 0, zMm: 0 }, connectionLost: true });
         time.advance(50);
