@@ -20,6 +20,7 @@ const { agoOf, isOld, keepOnly, liveOf, Subscriptions, take } = await load("stat
 const { isDue } = await load("state/due.ts");
 const { quantile } = await load("parts/histogram.tsx");
 const { formatMs, formatSpan, plainNumber } = await load("words/format.ts");
+const { heldMeanwhile } = await load("words/words.ts");
 
 test("AMapOfMapper3HasWallsAndGoals", () => {
     const floor = parseFloor(readFileSync(join(process.env.AXON_ROOT, "lab/worlds/transport.map"), "utf8"), "transport.map");
@@ -50,6 +51,12 @@ test("TimesAreAsCoarseAsPeopleSayThem", () => {
     assert.equal(formatSpan(400), "a moment");
     assert.equal(formatSpan(3_700_000), "1 h 1 min");
     assert.equal(plainNumber(" 1 234 "), "1234");
+});
+
+test("NoTaskIsSaidToOutliveTheServer", () => {
+    assert.equal(heldMeanwhile([], true), "");
+    assert.equal(heldMeanwhile(["A", "B"], true), "What you hold (A, B) is stopped if this lasts. Only if the server still runs does a task go on that may do so without you. ");
+    assert.equal(heldMeanwhile(["A"], false), "What you hold (A) is stopped. Only if the server still runs does a task go on that may do so without you. ");
 });
 
 const MAP = "2D-Map\nCairn: Goal 1000 0 0 \"\" ICON \"Table\"\nLINES\n0 0 1000 2000\nDATA\n";
