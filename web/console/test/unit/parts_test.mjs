@@ -143,6 +143,10 @@ test("WhatARobotSeesIsInsideTheMapAndTheMapStandsStill", () => {
     assert.deepEqual(boxAround(box, robot, [{ x: 5.72, y: 2 }, { x: 1.5, y: -1.15 }]), box);
     assert.deepEqual(boxAround(box, { x: 2, y: 1 }, []), box);
     assert.deepEqual(boxAround(box, { x: -4.5, y: 2 }, []), { low: { x: -5, y: -2 }, high: box.high });
+    // One that was told a wrong place, and then the right one: the wrong one is not kept in the picture.
+    const wrong = boxAround(box, { x: 300, y: 2 }, []);
+    assert.deepEqual(wrong, { low: { x: 300, y: 2 }, high: { x: 300, y: 2 } });
+    assert.deepEqual(boxAround(wrong, robot, seen), box);
     // What is too far away to be worth it is cut off.
     assert.deepEqual(boxAround(undefined, { x: 0, y: 0 }, [{ x: 1e30, y: 0 }, { x: 0, y: -80 }]), { low: { x: 0, y: -10 }, high: { x: 10, y: 0 } });
 });
