@@ -4,6 +4,8 @@
 export interface Clock {
     /** Milliseconds since some moment; never goes back. */
     now(): number;
+    /** Milliseconds since 1970. Unlike now() it goes on while the computer sleeps, and somebody may set it. */
+    date(): number;
     /** An alarm that calls `ring` at about the time that it was last set to. */
     alarm(ring: () => void): Alarm;
 }
@@ -51,6 +53,7 @@ class TimerAlarm implements Alarm {
 }
 
 const now = (): number => performance.now();
+const date = (): number => Date.now();
 
 /** With the timers of the page or of Node. A browser slows these down while its tab is in the background. */
 export function plainClock(): Clock {
@@ -58,7 +61,7 @@ export function plainClock(): Clock {
         const timer = setTimeout(ring, ms);
         return () => clearTimeout(timer);
     };
-    return { now, alarm: (ring) => new TimerAlarm(now, start, ring) };
+    return { now, date, alarm: (ring) => new TimerAlarm(now, start, ring) };
 }
 
 /**
@@ -102,7 +105,7 @@ export function workerClock(worker: Worker = new Worker(new URL("./timer_worker.
             if (!lost) worker.postMessage({ stop: id });
         };
     };
-    return { now, alarm: (ring) => new TimerAlarm(now, start, ring) };
+    return { now, date, alarm: (ring) => new TimerAlarm(now, start, ring) };
 }
 
 let ofThisProcess: Clock | undefined;

@@ -230,6 +230,7 @@ export class Session implements Observer {
             kind: this.kind,
             ageMs: now - this.since,
             silentMs: this.core.server.silentMs,
+            heardAt: this.core.server.heardDate,
             silent: this.silent,
             reason: this.reason,
             tries: this.tries,

@@ -159,8 +159,13 @@ export interface ConnectionReport {
     readonly kind: ConnectionKind;
     /** How long ago the connection was made, or lost, or closed: lost and reconnecting count from the loss. */
     readonly ageMs: number;
-    /** Since when nothing has come from the server. Unless it is asked (`silent`), it sends a sign of life every 2 s while no task runs. */
+    /** For how long nothing has come from the server. Unless it is asked (`silent`), it sends a sign of life every 2 s while no task runs. */
     readonly silentMs: number;
+    /**
+     * When something came from the server last, as Date.now() counts. Date.now() less `silentMs` would be too late after this
+     * computer has slept, because the clock of durations stands still meanwhile.
+     */
+    readonly heardAt: number;
     /** Of "connected": nothing has come for Options.noticeSilenceMs. False until then, and again when something comes. */
     readonly silent: boolean;
     /** Why it was lost, or why the last try to log in again has failed. */

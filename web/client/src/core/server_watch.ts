@@ -18,6 +18,8 @@ export class ServerWatch {
     /** Nothing has come for Settings.noticeMs. It stays so until something comes. */
     silent = false;
     private heardAt: number;
+    /** The same on Clock.date(). */
+    heardDate: number;
     /** This program was away until then, so that silence counts from there. */
     private backAt = -Infinity;
     /** The heartbeats of the server are fast since then. */
@@ -28,6 +30,7 @@ export class ServerWatch {
 
     constructor(private readonly parts: Parts) {
         this.heardAt = parts.context.now();
+        this.heardDate = parts.context.clock.date();
     }
 
     connected(busyMs: number, idleMs: number): void {
@@ -46,6 +49,7 @@ export class ServerWatch {
     }
     heard(): void {
         this.heardAt = this.parts.context.now();
+        this.heardDate = this.parts.context.clock.date();
         this.silent = false;
     }
     get silentMs(): number {
@@ -86,7 +90,8 @@ export class ServerWatch {
     }
     /** `lateMs`: how much later than it was to this call comes. */
     awayFor(lateMs: number): void {
-        if (lateMs > AWAY_MS) this.backAt = this.parts.context.now();
+        // Once until something comes: if every call is late, as with timers that a browser slows down, silence still counts.
+        if (lateMs > AWAY_MS && this.heardAt >= this.backAt) this.backAt = this.parts.context.now();
     }
     /** Sends a heartbeat if one is due and, while a task runs, the program permits it. Asks the server for one. */
     onTimer(keepRunning: () => boolean): void {

@@ -254,6 +254,34 @@ test("A program that was frozen does not call the server silent when it goes on"
     assert.deepEqual(said, [false]);
 });
 
+test("A program whose timers ring once in a second calls a silent server silent, and gives it up", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    const said = silences(client);
+    for (let i = 0; i < 5; ++i) {
+        await clock.advanceThrottled(1000, 1000);
+        server.events.heartbeat();
+    }
+    assert.deepEqual(said, [false]);
+    await clock.advanceThrottled(2000, 1000);
+    assert.deepEqual([client.connection().kind, said], ["connected", [false, true]]);
+    await clock.advanceThrottled(9000, 1000);
+    assert.equal(client.connection().kind, "lost");
+    assert.match(client.connection().reason, /silent/);
+});
+
+test("When the server was last heard stays the same while the computer sleeps", async () => {
+    const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
+    server.events.heartbeat();
+    const heardAt = clock.date();
+    await clock.advance(NOTICE_MS);
+    clock.sleep(9 * 3_600_000);
+    await clock.advance(1000);
+    const { silent, silentMs, heardAt: told } = client.connection();
+    assert.deepEqual([silent, silentMs, told], [true, NOTICE_MS + 1000, heardAt]);
+    server.events.heartbeat();
+    assert.equal(client.connection().heardAt, clock.date());
+});
+
 test("A server that was silent before the program was frozen stays silent until it is heard", async () => {
     const { clock, server, client } = await held({ noticeSilenceMs: NOTICE_MS });
     const said = silences(client);

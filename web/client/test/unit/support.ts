@@ -12,9 +12,17 @@ export const settle = async (): Promise<void> => {
 
 export class FakeClock implements Clock {
     private time = 1000;
+    private asleep = 1_700_000_000_000;
     private readonly alarms = new Set<{ at: number; ring: () => void }>();
     now(): number {
         return this.time;
+    }
+    date(): number {
+        return this.asleep + this.time;
+    }
+    /** As when the computer sleeps: only the date goes on. */
+    sleep(ms: number): void {
+        this.asleep += ms;
     }
     alarm(ring: () => void): { set(at: number): void; end(): void } {
         const one = { at: Infinity, ring };
@@ -37,6 +45,10 @@ export class FakeClock implements Clock {
         }
         this.time = end;
         await settle();
+    }
+    /** As when a browser slows timers down: whatever is due rings together, each `every` ms. */
+    async advanceThrottled(ms: number, every: number): Promise<void> {
+        for (let gone = 0; gone < ms; gone += every) await this.freeze(every);
     }
     /** As when a tab was frozen: time passes, and nothing rings until the end. */
     async freeze(ms: number): Promise<void> {

@@ -3,7 +3,7 @@ import { useEffect, useState } from "preact/hooks";
 import { holds } from "../state/holds";
 import { client, connection, heardAt } from "../state/session";
 import { formatClock, formatSpan } from "../words/format";
-import { sentence } from "../words/words";
+import { heldMeanwhile, sentence } from "../words/words";
 
 const LOOK_MS = 250;
 
@@ -22,20 +22,19 @@ export function Banner(): preact.JSX.Element | null {
     if (since === undefined || its === undefined || kind === undefined || kind === "closed") return null;
     const report = its.connection();
     const mine = [...holds.value.values()].map((hold) => hold.entity.name);
-    const held = (when: string): string => (mine.length === 0 ? "" : `What you hold (${mine.join(", ")}) ${when}, unless its task may go on without you. `);
     // What changes by itself is hidden from screen readers, which would read it out again and again.
     if (kind === "connected") {
         return (
             <div class="banner wait" role="alert">
                 <strong>The server does not answer</strong>
-                <span aria-hidden="true">: nothing for {formatSpan(report.silentMs)}</span>. What you see is from {formatClock(since)}. {held("is stopped if this lasts")}
+                <span aria-hidden="true">: nothing for {formatSpan(Math.max(Date.now() - since, 0))}</span>. What you see is from {formatClock(since)}. {heldMeanwhile(mine, true)}
                 Stops from this page may arrive late or not at all: use the emergency stop of the robot itself.
             </div>
         );
     }
     return (
         <div class="banner bad" role="alert">
-            <strong>No connection to the server</strong> <span aria-hidden="true">for {formatSpan(report.ageMs)}</span>. What you see is from {formatClock(since)}. {held("is stopped without this page")}
+            <strong>No connection to the server</strong> <span aria-hidden="true">for {formatSpan(Math.max(Date.now() - since, 0))}</span>. What you see is from {formatClock(since)}. {heldMeanwhile(mine, false)}
             Stops from this page may not arrive: use the emergency stop of the robot itself.{" "}
             <span class="quiet">
                 {sentence(report.reason)} <span aria-hidden="true">Trying again{report.nextTryMs === undefined ? " now" : ""}.</span>

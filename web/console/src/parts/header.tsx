@@ -5,6 +5,7 @@ import { linkTo, type Page, page, route } from "../state/route";
 import { client, connection, logout, ownName, reachable, rename, user } from "../state/session";
 import { latched } from "../state/entities";
 import { formatCount } from "../words/format";
+import { ServerButton } from "./server_button";
 import { nextTheme, theme } from "./theme";
 
 const roles = { observer: "may look and stop", operator: "may check out robots", admin: "may do everything" } as const;
@@ -57,9 +58,9 @@ function Account(): preact.JSX.Element {
                 Your name, as others see it
             </label>
             <input id="own-name" name="name" maxLength={40} defaultValue={ownName.value} autofocus />
-            <button type="submit" title={holds.value.size > 0 ? "What you hold is released" : undefined}>
+            <ServerButton type="submit" title={holds.value.size > 0 ? "What you hold is released" : undefined}>
                 {holds.value.size > 0 ? "Change, and release what I hold" : "Change"}
-            </button>
+            </ServerButton>
         </form>
     );
 }

@@ -38,11 +38,11 @@ function Watchdogs(): preact.JSX.Element {
     const [all, setAll] = useState(false);
     const rows = sorted.value.map(({ entity }) => ({ entity, its: margins.value.get(entity.id) })).sort((a, b) => worst(b.its) - worst(a.its));
     const shown = all ? rows : rows.slice(0, MOST);
-    const silent = client.value?.connection().silentMs ?? 0;
+    const silent = now.value - (client.value?.connection().heardAt ?? now.value);
     return (
         <>
             <p class="quiet">The longest silence of the last minute, against the time after which the watchdog stops the robot. The nearest come first.</p>
-            <p class="quiet">This page last heard the server {now.value > 0 && silent < 1000 ? "less than a second" : formatSpan(silent)} ago.</p>
+            <p class="quiet">This page last heard the server {silent < 1000 ? "less than a second" : formatSpan(silent)} ago.</p>
             {rows.length === 0 && <Empty>No robot is connected.</Empty>}
             <ul class="margins">
                 {shown.map(({ entity, its }) => (

@@ -33,15 +33,17 @@ const BOX_STEP_M = 1;
 /** What is further from its robot is not worth a smaller picture, and is cut off at the edge. */
 const SEEN_MAX_M = 10;
 /**
- * `before`, and what is seen from `from` as well. It grows by whole steps and never shrinks, so that the picture stands still
- * while the distances tremble.
+ * `before`, and what is seen from `from` as well. It grows by whole steps and does not shrink, so that the picture stands still
+ * while the distances tremble. It begins anew at a place that no robot drives to between two looks, as when one that was told a
+ * wrong place is told the right one.
  */
 export function boxAround(before: Box | undefined, from: Point, seen: readonly Point[]): Box {
-    let { low, high } = before ?? { low: from, high: from };
+    const near = before !== undefined && from.x > before.low.x - SEEN_MAX_M && from.x < before.high.x + SEEN_MAX_M && from.y > before.low.y - SEEN_MAX_M && from.y < before.high.y + SEEN_MAX_M;
+    let { low, high } = near ? before : { low: from, high: from };
     for (const { x, y } of [from, ...seen]) {
-        const near = { x: Math.min(Math.max(x, from.x - SEEN_MAX_M), from.x + SEEN_MAX_M), y: Math.min(Math.max(y, from.y - SEEN_MAX_M), from.y + SEEN_MAX_M) };
-        if (near.x < low.x || near.y < low.y) low = { x: Math.min(low.x, Math.floor(near.x / BOX_STEP_M) * BOX_STEP_M), y: Math.min(low.y, Math.floor(near.y / BOX_STEP_M) * BOX_STEP_M) };
-        if (near.x > high.x || near.y > high.y) high = { x: Math.max(high.x, Math.ceil(near.x / BOX_STEP_M) * BOX_STEP_M), y: Math.max(high.y, Math.ceil(near.y / BOX_STEP_M) * BOX_STEP_M) };
+        const end = { x: Math.min(Math.max(x, from.x - SEEN_MAX_M), from.x + SEEN_MAX_M), y: Math.min(Math.max(y, from.y - SEEN_MAX_M), from.y + SEEN_MAX_M) };
+        if (end.x < low.x || end.y < low.y) low = { x: Math.min(low.x, Math.floor(end.x / BOX_STEP_M) * BOX_STEP_M), y: Math.min(low.y, Math.floor(end.y / BOX_STEP_M) * BOX_STEP_M) };
+        if (end.x > high.x || end.y > high.y) high = { x: Math.max(high.x, Math.ceil(end.x / BOX_STEP_M) * BOX_STEP_M), y: Math.max(high.y, Math.ceil(end.y / BOX_STEP_M) * BOX_STEP_M) };
     }
     return { low, high };
 }

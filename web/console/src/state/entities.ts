@@ -93,7 +93,7 @@ export function follow(client: Client): () => void {
             return known.get(id)?.entity.name ?? id;
         }
     };
-    const heardAt = (): number => Date.now() - client.connection().silentMs;
+    const heardAt = (): number => client.connection().heardAt;
     silentSince = undefined;
     const ends = [
         client.onEntity((news) => onNews(news, heardAt())),

@@ -64,7 +64,7 @@ function opened(its: Client): void {
     its.onConnection((report) => {
         connection.value = report;
         if (reachable.value) heardAt.value = undefined;
-        else heardAt.value ??= Date.now() - report.silentMs;
+        else heardAt.value ??= report.heardAt;
         if (report.kind === "closed" && report.ended !== undefined && client.value === its) void replaced(opener);
         if (before?.kind !== report.kind && report.kind !== "reconnecting" && !(before?.kind === "reconnecting" && report.kind === "lost")) {
             if (report.kind === "lost") note("connection", undefined, `the connection to the server was lost: ${report.reason}`);

@@ -138,3 +138,11 @@ export function sentence(text: string): string {
     const begun = trimmed.charAt(0).toUpperCase() + trimmed.slice(1);
     return /[.!?…]$/.test(begun) ? begun : `${begun}.`;
 }
+/**
+ * What becomes of the robots that this page holds when the server is not heard. Without the server they stop whatever their
+ * tasks may do; only the loss of this page alone is one that a task may survive.
+ */
+export function heldMeanwhile(names: readonly string[], connected: boolean): string {
+    if (names.length === 0) return "";
+    return `What you hold (${names.join(", ")}) is stopped${connected ? " if this lasts" : ""}. Only if the server still runs does a task go on that may do so without you. `;
+}

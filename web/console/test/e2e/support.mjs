@@ -106,7 +106,7 @@ export class House {
         await page.goto(this.url + path);
         return page;
     }
-    /** All of them, with their workers, as a computer does that sleeps. */
+    /** All of them, with their workers, as a browser may do that is short of memory. Their clocks go on, unlike those of a computer that sleeps. */
     async freezeTabs(ms) {
         const session = await browser.newBrowserCDPSession();
         const { processInfo } = await session.send("SystemInfo.getProcessInfo");

@@ -20,6 +20,7 @@ const { agoOf, isOld, keepOnly, liveOf, Subscriptions, take } = await load("stat
 const { isDue } = await load("state/due.ts");
 const { quantile } = await load("parts/histogram.tsx");
 const { formatMs, formatSpan, plainNumber } = await load("words/format.ts");
+const { heldMeanwhile } = await load("words/words.ts");
 
 test("AMapOfMapper3HasWallsAndGoals", () => {
     const floor = parseFloor(readFileSync(join(process.env.AXON_ROOT, "lab/worlds/transport.map"), "utf8"), "transport.map");
@@ -50,6 +51,12 @@ test("TimesAreAsCoarseAsPeopleSayThem", () => {
     assert.equal(formatSpan(400), "a moment");
     assert.equal(formatSpan(3_700_000), "1 h 1 min");
     assert.equal(plainNumber(" 1 234 "), "1234");
+});
+
+test("NoTaskIsSaidToOutliveTheServer", () => {
+    assert.equal(heldMeanwhile([], true), "");
+    assert.equal(heldMeanwhile(["A", "B"], true), "What you hold (A, B) is stopped if this lasts. Only if the server still runs does a task go on that may do so without you. ");
+    assert.equal(heldMeanwhile(["A"], false), "What you hold (A) is stopped. Only if the server still runs does a task go on that may do so without you. ");
 });
 
 const MAP = "2D-Map\nCairn: Goal 1000 0 0 \"\" ICON \"Table\"\nLINES\n0 0 1000 2000\nDATA\n";
@@ -136,6 +143,10 @@ test("WhatARobotSeesIsInsideTheMapAndTheMapStandsStill", () => {
     assert.deepEqual(boxAround(box, robot, [{ x: 5.72, y: 2 }, { x: 1.5, y: -1.15 }]), box);
     assert.deepEqual(boxAround(box, { x: 2, y: 1 }, []), box);
     assert.deepEqual(boxAround(box, { x: -4.5, y: 2 }, []), { low: { x: -5, y: -2 }, high: box.high });
+    // One that was told a wrong place, and then the right one: the wrong one is not kept in the picture.
+    const wrong = boxAround(box, { x: 300, y: 2 }, []);
+    assert.deepEqual(wrong, { low: { x: 300, y: 2 }, high: { x: 300, y: 2 } });
+    assert.deepEqual(boxAround(wrong, robot, seen), box);
     // What is too far away to be worth it is cut off.
     assert.deepEqual(boxAround(undefined, { x: 0, y: 0 }, [{ x: 1e30, y: 0 }, { x: 0, y: -80 }]), { low: { x: 0, y: -10 }, high: { x: 10, y: 0 } });
 });
@@ -194,7 +205,7 @@ function heldTime(now) {
 /** A client whose news a test tells. */
 class ToldClient {
     connected = true;
-    silentMs = 0;
+    heardAt = 1_000_000;
     ageMs = 60_000;
     there = [];
     tell = { entity: () => {}, connection: () => {} };
@@ -207,7 +218,7 @@ class ToldClient {
         return () => {};
     }
     connection() {
-        return { kind: this.connected ? "connected" : "lost", silentMs: this.silentMs, ageMs: this.ageMs };
+        return { kind: this.connected ? "connected" : "lost", heardAt: this.heardAt, ageMs: this.ageMs };
     }
     entities() {
         return this.there;
@@ -228,20 +239,25 @@ test("WhileTheServerIsSilentWhatIsShownIsOfWhenItWasLastHeard", async () => {
         time.advance(50);
         assert.deepEqual(shown("a"), [true, 1_000_000]);
         time.advance(5000);
-        client.silentMs = 700;
+        client.heardAt = 1_004_350;
         client.tell.connection({ silent: true });
         time.advance(50);
         assert.deepEqual(shown("a"), [false, 1_004_350]);
         // However long: it is not forgotten as one that has not come back.
-        client.silentMs += 20_000;
         time.advance(20_000);
         assert.deepEqual(shown("a"), [false, 1_004_350]);
-        client.silentMs = 0;
         client.tell.connection({ silent: false });
         time.advance(50);
         assert.deepEqual(shown("a"), [true, 1_000_000]);
+        // The computer sleeps for a night before the silence is told.
+        client.heardAt = 1_025_000;
+        time.advance(9 * 3_600_000);
+        client.tell.connection({ silent: true });
+        time.advance(50);
+        assert.deepEqual(shown("a"), [false, 1_025_000]);
+        client.tell.connection({ silent: false });
         // A connection that is lost after a silence: of when the server was last heard, too.
-        client.silentMs = 1000;
+        client.heardAt = 1_024_150;
         client.connected = false;
         client.tell.entity({ presence: "left", entity: { id: "a", name: "a", xMm: 0, yMm: 0, zMm: 0 }, connectionLost: true });
         time.advance(50);
