@@ -305,7 +305,9 @@ test("TheServerFallsSilent", limited, async () => {
         const banner = page.locator(".banner.wait", { hasText: "The server does not answer" });
         await banner.waitFor();
         const [{ at }] = await page.evaluate(() => globalThis.banners);
-        assert.ok(at - begin < 1000, `it took ${at - begin} ms`);
+        // The unit tests of the client bound the notice itself. This is far below the 10 s after which the connection is given
+        // up, and leaves time for drawing to a machine that is loaded.
+        assert.ok(at - begin < 3000, `it took ${at - begin} ms`);
         await page.locator("[data-connection=silent]").waitFor();
         const box = await banner.boundingBox();
         assert.ok(box.y >= 0 && box.y + box.height < 400, JSON.stringify(box)); // wherever the person has scrolled to
@@ -320,6 +322,12 @@ test("TheServerFallsSilent", limited, async () => {
         // The stop can be pressed, and says what it is worth.
         await page.locator(".dock .stop").click();
         await page.getByText("The server does not answer, so this stop may reach nobody.").waitFor();
+        // Another name would end the session, and with it what the red button can send.
+        await page.getByRole("button", { name: /^Your name:/ }).click();
+        await page.getByLabel("Your name, as others see it").fill("another");
+        await page.getByLabel("Your name, as others see it").press("Enter");
+        assert.equal(await page.getByRole("button", { name: /^Change/ }).getAttribute("aria-disabled"), "true");
+        await page.locator("[data-connection=silent]").waitFor();
     } finally {
         server.kill("SIGCONT");
     }
@@ -341,15 +349,30 @@ test("TheServerFallsSilent", limited, async () => {
 test("ATabThatWasFrozenDoesNotBlameTheServer", limited, async () => {
     const page = await house.person({ script: watchBanner });
     await page.locator("[data-entity=Counter]").waitFor();
-    const rounds = () => page.evaluate(() => globalThis.rounds ?? 0);
-    await page.evaluate(() => setInterval(() => (globalThis.rounds = (globalThis.rounds ?? 0) + 1), 100));
-    for (let i = 0; i < 3; ++i) {
+    const rounds = () => page.evaluate(() => globalThis.rounds);
+    await page.evaluate(() => {
+        let last = performance.now();
+        globalThis.rounds = 0;
+        globalThis.gap = 0;
+        setInterval(() => {
+            const now = performance.now();
+            globalThis.gap = Math.max(globalThis.gap, now - last);
+            last = now;
+            ++globalThis.rounds;
+        }, 100);
+    });
+    // Twice as long as a silence that is told, at least, with the page at work.
+    const goesOn = async () => {
         const before = await rounds();
+        await page.waitForFunction((least) => globalThis.rounds >= least, before + 15);
+    };
+    await goesOn();
+    for (let i = 0; i < 3; ++i) {
+        await page.evaluate(() => (globalThis.gap = 0));
         await house.freezeTabs(2500);
-        const went = (await rounds()) - before;
-        assert.ok(went < 10, `it went on for ${went} rounds of 25`);
+        await page.waitForFunction(() => globalThis.gap > 2000); // it did stand still
     }
-    await page.waitForTimeout(1500);
+    await goesOn();
     assert.deepEqual(await page.evaluate(() => globalThis.banners), []);
     await page.locator("[data-connection=connected]").waitFor();
     await page.context().close();

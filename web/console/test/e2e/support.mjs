@@ -111,10 +111,22 @@ export class House {
         const session = await browser.newBrowserCDPSession();
         const { processInfo } = await session.send("SystemInfo.getProcessInfo");
         await session.detach();
-        const tabs = processInfo.map(({ id }) => id).filter((id) => readFileSync(`/proc/${id}/cmdline`, "utf8").includes("--type=renderer"));
-        for (const id of tabs) process.kill(id, "SIGSTOP");
-        await new Promise((wake) => setTimeout(wake, ms));
-        for (const id of tabs) process.kill(id, "SIGCONT");
+        // A tab may end meanwhile.
+        const ifThere = (use) => {
+            try {
+                return use();
+            } catch (error) {
+                if (error.code !== "ENOENT" && error.code !== "ESRCH") throw error;
+                return undefined;
+            }
+        };
+        const tabs = processInfo.map(({ id }) => id).filter((id) => ifThere(() => readFileSync(`/proc/${id}/cmdline`, "utf8"))?.includes("--type=renderer"));
+        try {
+            for (const id of tabs) ifThere(() => process.kill(id, "SIGSTOP"));
+            await new Promise((wake) => setTimeout(wake, ms));
+        } finally {
+            for (const id of tabs) ifThere(() => process.kill(id, "SIGCONT"));
+        }
     }
     async end() {
         await Promise.all(this.contexts.map((one) => one.close()));
