@@ -31,7 +31,8 @@ void refuseUnknown(ClientOutbox& to, const Header& head) {
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
                            EntityTopic& topic, Note note, std::function<void()> wake,
-                           GlobalServicesPort* global_services, audit::AuditTrail* trail)
+                           GlobalServicesPort* global_services, audit::AuditTrail* trail,
+                           const users::PresentUsers* users)
     : settings_(settings),
       clock_(clock),
       random_(random),
@@ -39,6 +40,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       note_(std::move(note)),
       wake_(std::move(wake)),
       global_services_(global_services),
+      users_(users),
       settlement_(clock, topic),
       log_(clock, note_, trail),
       others_(settings.name, random, note_,
@@ -82,6 +84,10 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
     ClientRef client;
     {
         const std::lock_guard lock(mutex_);
+        // Here, where usersChanged() finds it from now on: nobody slips in between.
+        if (const auto less = lessThan(user, role))
+            return refuse(RefusalCode::PermissionDenied,
+                          *less + " while the session was being opened; fix: log in again");
         if (clients_.size() >= settings_.clients_max) {
             return refuse(RefusalCode::Overloaded, "the server has its " +
                                                        std::to_string(settings_.clients_max) +
@@ -96,7 +102,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         if (!user.empty()) id.replace(0, kUserDigits, userPart(user));
         Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
-                                          settings_, clock_.now());
+                                          settings_, clock_.now(), user);
         clients_.add(client);
     }
     wake_();
@@ -345,6 +351,26 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
           (held.empty()
                ? ""
                : "; it held " + std::to_string(held.size()) + (held.size() == 1 ? " entity" : " entities")));
+}
+
+/// What has become of the user, where that is less than this role.
+std::optional<std::string> FrontEndCore::lessThan(const std::string& user, Role role) const {
+    if (users_ == nullptr || user.empty()) return std::nullopt;
+    const auto now = users_->clientRole(user);
+    if (!now) return "the user '" + user + "' was removed";
+    if (*now < role) return "the role of the user '" + user + "' became " + toString(*now);
+    return std::nullopt;
+}
+
+void FrontEndCore::usersChanged() {
+    std::vector<std::pair<ClientRef, std::string>> less;
+    {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [id, client] : clients_.byId())
+            if (auto why = lessThan(client->user, client->me.role))
+                less.emplace_back(client, std::move(*why));
+    }
+    for (const auto& [client, why] : less) leave(client, Ending::Lost, why);
 }
 
 template <class Send>

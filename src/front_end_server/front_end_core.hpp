@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <unordered_set>
@@ -21,6 +22,7 @@
 #include "front_end_server/log/client_log.hpp"
 #include "front_end_server/ports/core_settings.hpp"
 #include "front_end_server/ports/ports.hpp"
+#include "users/present_users.hpp"
 
 namespace axon::front_end_server {
 
@@ -59,15 +61,16 @@ class FrontEndCore {
     using ClientRef = front_end_server::ClientRef;
     using Note = std::function<void(const std::string& line)>;
 
-    /// `global_services`, `trail`: null where there are none.
+    /// `global_services`, `trail`, `users`: null where there are none.
     FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
                  Note note, std::function<void()> wake, GlobalServicesPort* global_services = nullptr,
-                 audit::AuditTrail* trail = nullptr);
+                 audit::AuditTrail* trail = nullptr, const users::PresentUsers* users = nullptr);
     ~FrontEndCore();
 
     // From a client.
     /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
-    /// login; `user` is empty where the login names none, and each session then counts for itself.
+    /// login; `user` is empty where the login names none, and each session then counts for itself. Refused
+    /// where the users have changed since, and the user has no longer this role.
     Result<ClientRef> setCallback(const std::string& display_name, Role role,
                                   std::shared_ptr<ClientOutbox> data, const std::string& user = {});
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
@@ -103,6 +106,10 @@ class FrontEndCore {
     /// The topic has been found, or found again. Messages published in between were not received here.
     void topicFound();
 
+    /// The users are others now. Whoever is none of them, or has a lower role than in its session, is lost:
+    /// its robots stop as for any client that is lost. Who has a higher role gets it with the next session.
+    void usersChanged();
+
     /// Gives up silent clients and sends heartbeats; returns when it wants to be called again.
     TimePoint onTimer();
     /// Tells every client that the server is shutting down.
@@ -125,6 +132,7 @@ class FrontEndCore {
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
     void ask(const std::string& server);
+    std::optional<std::string> lessThan(const std::string& user, Role role) const;
     void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
 
@@ -135,6 +143,7 @@ class FrontEndCore {
     const Note note_;
     const std::function<void()> wake_;
     GlobalServicesPort* const global_services_;
+    const users::PresentUsers* const users_;
 
     Settlement settlement_;
 

@@ -125,6 +125,17 @@ class FakeTopic final : public EntityTopic {
     std::vector<std::string> reached;
 };
 
+class FakeUsers final : public users::PresentUsers {
+  public:
+    std::optional<Role> clientRole(const std::string& user) const override {
+        const auto its = roles.find(user);
+        return its == roles.end() ? Role::Admin : its->second;
+    }
+    bool mayBeEntityManager(const std::string&) const override { return false; }
+
+    std::map<std::string, std::optional<Role>> roles;  ///< of the others it is Admin
+};
+
 class FrontEndTest : public testing::Test {
   protected:
     struct Peer {
@@ -133,9 +144,9 @@ class FrontEndTest : public testing::Test {
         FrontEndCore::ClientRef client;
         std::string id() const { return FrontEndCore::me(*client).id; }
     };
-    Peer join(const std::string& name = "client1") {
+    Peer join(const std::string& name = "client1", const std::string& user = {}, Role role = Role::Operator) {
         Peer peer;
-        peer.client = core.setCallback(name, Role::Operator, peer.data).value();
+        peer.client = core.setCallback(name, role, peer.data, user).value();
         EXPECT_TRUE(core.attach(FrontEndCore::token(*peer.client), peer.signal).ok());
         here.emplace(peer.id(), peer.client);
         return peer;
@@ -188,9 +199,10 @@ class FrontEndTest : public testing::Test {
     std::map<std::string, FrontEndCore::ClientRef> here;
     FrontEndCoreSettings settings;
     test::RecordedAudit trail;
+    FakeUsers users;
     FrontEndCore core{
         settings, clock,   random, topic, [this](const std::string& line) { notes.push_back(line); },
-        [] {},    nullptr, &trail};
+        [] {},    nullptr, &trail, &users};
 };
 
 TEST_F(FrontEndTest, TellsAClientWhoIsThereAndWhatChanges) {
@@ -373,6 +385,46 @@ TEST(FrontEndLocks, SignsOfLifeAndStopsDoNotWaitForTheMonitor) {
     };
     ASSERT_TRUE(core.setCallback("eve", Role::Operator, std::make_shared<FakeOutbox>()).ok());
     EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1"));
+}
+
+TEST_F(FrontEndTest, AUserWhoIsRemovedIsLostAndTheRobotsStop) {
+    entity("e1");
+    const auto ann = join("tablet", "ann");
+    const auto bob = join("laptop", "bob");
+    status("e1", EntityState::BUSY, ann.id());
+    topic.take();
+    core.usersChanged();
+    EXPECT_EQ(core.clients(), 2U);  // nobody has less than before
+    users.roles["ann"] = std::nullopt;
+    core.usersChanged();
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by tablet to e1", "lost to e1"));
+    EXPECT_TRUE(ann.data->disconnected);
+    EXPECT_TRUE(ann.signal->disconnected);
+    EXPECT_FALSE(bob.data->disconnected);
+    EXPECT_THAT(notes.back(),
+                HasSubstr("client tablet is lost: the user 'ann' was removed; it held 1 entity"));
+    // What it sends from now on goes nowhere.
+    EXPECT_EQ(
+        core.setCallback("tablet", Role::Operator, std::make_shared<FakeOutbox>(), "ann").refusal().code,
+        RefusalCode::PermissionDenied);
+}
+
+TEST_F(FrontEndTest, AUserWhoseRoleIsLowerIsLostAndOneWhoseRoleIsHigherStays) {
+    const auto ann = join("tablet", "ann", Role::Admin);
+    const auto bob = join("laptop", "bob", Role::Observer);
+    const auto nobody = join("without users");
+    users.roles = {{"ann", Role::Operator}, {"bob", Role::Admin}};
+    core.usersChanged();
+    EXPECT_TRUE(ann.data->disconnected);
+    EXPECT_FALSE(bob.data->disconnected);
+    EXPECT_EQ(FrontEndCore::me(*bob.client).role, Role::Observer);
+    EXPECT_FALSE(nobody.data->disconnected);
+    EXPECT_THAT(notes.back(), HasSubstr("the role of the user 'ann' became operator"));
+    // One that was logged in before the change, and comes after it.
+    EXPECT_THAT(
+        core.setCallback("tablet", Role::Admin, std::make_shared<FakeOutbox>(), "ann").refusal().message,
+        HasSubstr("log in again"));
+    EXPECT_TRUE(core.setCallback("tablet", Role::Operator, std::make_shared<FakeOutbox>(), "ann").ok());
 }
 
 TEST_F(FrontEndTest, TheSenderIsTheSessionsNeverThePeers) {

@@ -31,9 +31,10 @@ inline constexpr std::uint32_t kListsPerSecond = 4;  // of all entities, for one
 class Client {
   public:
     Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
-           const FrontEndCoreSettings& settings, TimePoint now)
+           const FrontEndCoreSettings& settings, TimePoint now, std::string its_user = {})
         : me(std::move(its_sender)),
           token(std::move(its_token)),
+          user(std::move(its_user)),
           data(std::move(its_data)),
           rate(settings.messages_per_second),
           drill_rate(settings.drills_per_second),
@@ -43,6 +44,7 @@ class Client {
     // Constant after construction.
     const Sender me;
     const std::string token;
+    const std::string user;  // who logged in; empty where nobody has a name
     const std::shared_ptr<ClientOutbox> data;
 
     RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
