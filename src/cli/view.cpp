@@ -495,7 +495,14 @@ void PersonView::showUsers(const Json& event) {
                    {textOf(one, "role")},
                    {hash, hash == "argon2id" ? Tint::None : Tint::Yellow}});
     }
-    say(table.text(terminal_.colour) + "fingerprint " + textOf(event, "fingerprint"));
+    auto text = table.text(terminal_.colour);
+    if (!event.at("lists").empty()) {
+        Table lists({"RIGHT", "ENTITY", "WHO"});
+        for (const auto& one : event.at("lists"))
+            lists.add({{textOf(one, "right")}, {textOf(one, "entity")}, {valuesText(one.at("who"))}});
+        text += lists.text(terminal_.colour);
+    }
+    say(text + "fingerprint " + textOf(event, "fingerprint"));
 }
 
 void PersonView::showUserChanged(const Json& event) {

@@ -146,6 +146,7 @@ class FakeUsers final : public users::PresentUsers {
   public:
     std::optional<Role> clientRole(const std::string&) const override { return std::nullopt; }
     bool mayBeEntityManager(const std::string& user) const override { return user != gone; }
+    std::shared_ptr<const users::Access> access() const override { return nullptr; }
 
     std::string gone;
 };

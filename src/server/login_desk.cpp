@@ -372,6 +372,12 @@ std::optional<Role> LoginDesk::clientRole(const std::string& user) const {
     return who ? std::optional(who.value().role) : std::nullopt;
 }
 
+std::shared_ptr<const users::Access> LoginDesk::access() const {
+    auto users = usersNow();
+    const auto* its = &users->access();
+    return {std::move(users), its};
+}
+
 bool LoginDesk::mayBeEntityManager(const std::string& user) const {
     return usersNow()->roleOf(user) == UserRole::Entity;
 }

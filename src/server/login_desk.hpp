@@ -69,6 +69,7 @@ class LoginDesk final : public transport::Logins, public users::PresentUsers {
     void setUsers(std::shared_ptr<const users::Users> users);
     std::optional<Role> clientRole(const std::string& user) const override;
     bool mayBeEntityManager(const std::string& user) const override;
+    std::shared_ptr<const users::Access> access() const override;
     void close();
 
   private:

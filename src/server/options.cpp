@@ -226,6 +226,24 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          [&](const auto& where, const auto& text) {
              settings.front_end.clients_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
          }},
+        {"FrontEndServer.UserSessions",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_sessions = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
+         }},
+        {"FrontEndServer.UserCheckOuts",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_check_outs = static_cast<std::size_t>(number(where, text, 0, 1'000'000));
+         }},
+        {"FrontEndServer.UserMessages",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_messages_per_second =
+                 static_cast<std::uint32_t>(number(where, text, 10, 10'000'000));
+         }},
+        {"FrontEndServer.UserBytes",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_bytes_per_second =
+                 static_cast<std::uint32_t>(number(where, text, 1024, 2'000'000'000));
+         }},
         {"EntityServer.EntitiesMax",
          [&](const auto& where, const auto& text) {
              settings.entity.entities_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));

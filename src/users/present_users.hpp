@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <memory>
 #include <optional>
 #include <string>
 
 #include "common/routed.hpp"
+#include "users/access.hpp"
 
 namespace axon::users {
 
@@ -16,6 +18,8 @@ class PresentUsers {
     /// Nothing: no client may be this user.
     virtual std::optional<Role> clientRole(const std::string& user) const = 0;
     virtual bool mayBeEntityManager(const std::string& user) const = 0;
+    /// Which entities clients may see, check out, take over and rearm. Never null.
+    virtual std::shared_ptr<const Access> access() const = 0;
 };
 
 }  // namespace axon::users

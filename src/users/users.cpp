@@ -8,7 +8,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cctype>
 #include <cerrno>
 #include <cstdio>
 #include <stdexcept>
@@ -58,12 +57,6 @@ std::string shown(std::string_view text) {
     return "'" + out + "'";
 }
 
-bool isUserName(std::string_view name) {
-    return !name.empty() && name.size() <= 64 && std::all_of(name.begin(), name.end(), [](unsigned char c) {
-        return std::isalnum(c) != 0 || c == '.' || c == '-' || c == '_';
-    });
-}
-
 Users Users::parse(std::string_view text, const std::string& file) {
     Users users;
     int number = 0;
@@ -78,6 +71,12 @@ Users Users::parse(std::string_view text, const std::string& file) {
         };
         const auto fields = fieldsOf(line);
         if (fields.empty()) continue;
+        if (fields[0].starts_with('@')) {
+            if (const auto expected = users.access_.add(fields); !expected.empty())
+                throw std::runtime_error(file + ":" + std::to_string(number) + ": " + expected +
+                                         "; fix: correct the line (docs/reference/server_configuration.md)");
+            continue;
+        }
         if (fields.size() != 3)
             refuse("expected 'name role hash', not " + std::to_string(fields.size()) + " words");
         if (!isUserName(fields[0]))
@@ -150,6 +149,12 @@ std::string Users::fingerprint() const {
         add(user.name);
         add(toString(user.role));
         add(user.hash);
+    }
+    for (const auto& rule : access_.rules()) {
+        add("@");
+        add(toString(rule.right));
+        add(rule.entity);
+        for (const auto& who : rule.who) add(who);
     }
     std::array<unsigned char, crypto_generichash_BYTES> digest{};
     crypto_generichash_final(&state, digest.data(), digest.size());

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "users/access.hpp"
 #include "users/passwords.hpp"
 
 namespace axon::users {
@@ -15,9 +16,6 @@ enum class UserRole { Observer, Operator, Admin, Entity };
 const char* toString(UserRole role);
 std::optional<UserRole> userRole(std::string_view text);
 
-/// Letters, digits, '.', '-' and '_', at most 64: they appear in logs, files and names of senders.
-bool isUserName(std::string_view name);
-
 /// Text that somebody has written, in quotes and without what a terminal would obey.
 std::string shown(std::string_view text);
 
@@ -26,7 +24,7 @@ enum class MayBeEmpty : bool { No, Yes };
 inline constexpr std::size_t kFileMax = 1024 * 1024;
 
 /// users.cfg: who may log in, and as what. Lines `name role hash`, `#` begins a comment; the hash is one that
-/// isHash() accepts.
+/// isHash() accepts. Lines that begin with '@' restrict who may do what with which entities (Access).
 ///
 /// Immutable after construction; verify() may be called from any thread and takes as long and as much memory
 /// as the hash wants, some 20 MiB. Failure: misconfiguration throws std::runtime_error, `file:line: expected
@@ -54,12 +52,15 @@ class Users {
     /// Null where there is none of this name.
     const User* find(std::string_view name) const;
     const std::vector<User>& all() const { return users_; }
+    /// What the lines that begin with '@' say.
+    const Access& access() const { return access_; }
     std::size_t size() const { return users_.size(); }
     /// Eight digits that are the same for all servers whose files say the same, whatever their comments.
     std::string fingerprint() const;
 
   private:
     std::vector<User> users_;
+    Access access_;
 };
 
 }  // namespace axon::users

@@ -118,6 +118,32 @@ class UsersTest(unittest.TestCase):
         wait_until(lambda: not self.entities(self.guest), "the entity has left")
         self.assertIn("left left: the user 'entities' was removed", self.log())
 
+    def test_lists_hide_an_entity_and_keep_it_from_some(self):
+        client2 = self.person("client2")
+        good = self.file.read_text()
+
+        def lists(text):
+            self.file.write_text(good + text)
+
+        self.does(self.client1, "checkout", "left")
+        lists("@checkout left client1\n@force left -\n@rearm left client1\n")
+        wait_until(lambda: self.log().count("users: taken") == 1, "the lists are taken over")
+        self.assertEqual(self.refused(client2, "checkout", "left"), "PERMISSION_DENIED")
+        self.assertEqual(self.refused(self.boss, "checkout", "left", "--force", "to see"), "PERMISSION_DENIED")
+        self.does(client2, "stop", "left")
+        self.assertEqual(self.refused(self.boss, "rearm", "left"), "PERMISSION_DENIED")
+        self.does(self.client1, "rearm", "left")
+        lists("@see left client1\n")
+        wait_until(lambda: not self.entities(client2), "it is hidden")
+        self.assertEqual(self.refused(client2, "checkout", "left"), "UNKNOWN_ENTITY")
+        self.assertIn("left", self.entities(self.client1))
+        self.does(self.client1, "run", "left", "Wait", "Seconds=0.1")
+        # A stop of everything reaches it all the same.
+        client2.axon("stop", "--all")
+        wait_until(lambda: self.entities(self.client1)["left"]["latched"], "it has been stopped")
+        lists("")
+        wait_until(lambda: "left" in self.entities(client2), "it is seen again")
+
 
 if __name__ == "__main__":
     stalls.main()

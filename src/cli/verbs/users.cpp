@@ -74,8 +74,14 @@ int list(Session& session, const std::string& file) {
     for (const auto& user : its.all())
         all.push_back(
             {{"name", user.name}, {"role", users::toString(user.role)}, {"hash", users::kindOf(user.hash)}});
-    session.events.emit(
-        {{"event", "users"}, {"file", file}, {"fingerprint", its.fingerprint()}, {"users", all}});
+    auto lists = Json::array();
+    for (const auto& rule : its.access().rules())
+        lists.push_back({{"right", toString(rule.right)}, {"entity", rule.entity}, {"who", rule.who}});
+    session.events.emit({{"event", "users"},
+                         {"file", file},
+                         {"fingerprint", its.fingerprint()},
+                         {"users", all},
+                         {"lists", lists}});
     return kDone;
 }
 

@@ -75,6 +75,16 @@ TEST_F(UsersVerb, AddsListsChangesAndRemoves) {
     EXPECT_FALSE(role("ann", "secret2"));
 }
 
+TEST_F(UsersVerb, ListsOfEntitiesAreShownAndKept) {
+    EXPECT_EQ(axon({"add", "boss", "admin"}), kDone) << said;
+    std::ofstream(file, std::ios::app) << "@checkout arm-* boss @admin\n";
+    EXPECT_EQ(axon({"add", "ann", "operator"}), kDone) << said;
+    EXPECT_EQ(axon({"list"}), kDone) << said;
+    EXPECT_EQ(seen.last("users")->at("lists"),
+              Json::parse(R"([{"right":"checkout","entity":"arm-*","who":["boss","@admin"]}])"));
+    EXPECT_THAT(text(), HasSubstr("checkout  arm-*"));
+}
+
 TEST_F(UsersVerb, ItsFileCanBeReadByItsOwnerAndItsGroupAtMost) {
     EXPECT_EQ(axon({"add", "boss", "admin"}), kDone) << said;
     struct stat facts {};
