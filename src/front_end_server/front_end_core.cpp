@@ -475,8 +475,9 @@ std::optional<std::string> FrontEndCore::lessBy(const Client& client, const user
         if (!record) continue;
         const auto& name = record->registration.name;
         const auto right = check_out ? EntityRight::CheckOut : EntityRight::See;
-        const auto allows = [&](const users::Access& access) {
-            return access.allows(client.user, client.me.role, right, entity, name);
+        const auto allows = [&client, &record, right](const users::Access& access) {
+            const auto& its = record->registration;
+            return access.allows(client.user, client.me.role, right, its.entity, its.name);
         };
         if (allows(now) || !allows(before)) continue;
         // Who waits for it would wait for ever.
