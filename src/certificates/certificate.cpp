@@ -308,8 +308,9 @@ void check(const Request& request) {
         if (request.names.size() > kNamesMax)
             throw Unusable("expected at most " + std::to_string(kNamesMax) + " names", "issue a second one");
         if (isNamedServer(request.kind) && !isServerName(name))
-            throw Unusable(quoted(name) + ": expected the Server.Name of that server, which has 1 to 32 "
-                                          "letters, digits, '-' and '_', such as fe1",
+            throw Unusable(quoted(name) +
+                               ": expected the Server.Name of that server, which has 1 to 32 "
+                               "letters, digits, '-' and '_', such as fe1",
                            usage);
         const auto hosts = hostsOf(request);
         if (hosts.empty())

@@ -18,7 +18,7 @@ class Communicator;
 namespace axon::transport {
 class LinkTrust;
 class Logins;
-}
+}  // namespace axon::transport
 
 namespace axon::entity_server {
 

@@ -287,8 +287,8 @@ certificates::Kind FrontEndToEntityServant::callerOf(std::string_view operation)
     return of_peers ? certificates::Kind::EntityServer : certificates::Kind::FrontEnd;
 }
 bool FrontEndToEntityServant::ofItsClient(const IceHeader& head, const Ice::Current& current) const {
-    return links_ == nullptr || links_->speaksAs(current, std::string(originOf(head.sender.id).server),
-                                                 "speaks for a client of");
+    return links_ == nullptr ||
+           links_->speaksAs(current, std::string(originOf(head.sender.id).server), "speaks for a client of");
 }
 void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current& current) {
     if (!ofItsClient(head, current)) return;

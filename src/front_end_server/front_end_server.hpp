@@ -19,7 +19,7 @@ class Communicator;
 namespace axon::transport {
 class LinkTrust;
 class Logins;
-}
+}  // namespace axon::transport
 
 namespace axon::front_end_server {
 

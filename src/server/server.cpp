@@ -148,16 +148,17 @@ void checkOwnCertificate(const ServerSettings& settings) {
     }
     const auto wrong = certificates::mismatch(its.front(), ownKind(settings), settings.name);
     if (!wrong.empty())
-        throw std::runtime_error("the links to the other servers are under TLS, and the certificate of this "
-                                 "server (IceSSL.CertFile=" +
-                                 file + ") " + wrong + "; fix: " + issueOwn(settings) +
-                                 ", and use its configuration file");
+        throw std::runtime_error(
+            "the links to the other servers are under TLS, and the certificate of this "
+            "server (IceSSL.CertFile=" +
+            file + ") " + wrong + "; fix: " + issueOwn(settings) + ", and use its configuration file");
 }
 
 /// Where IceStorm is, which is believed whatever it says. `text` is its stringified proxy.
 void checkTopicManager(const std::string& text, bool tls) {
     static const std::regex kHost(R"(:\s*(\w+)\b[^:]*?-h\s+(\S+))");
-    for (auto at = std::sregex_iterator(text.begin(), text.end(), kHost); at != std::sregex_iterator(); ++at) {
+    for (auto at = std::sregex_iterator(text.begin(), text.end(), kHost); at != std::sregex_iterator();
+         ++at) {
         const auto host = (*at)[2].str();
         const bool its_tls = (*at)[1] == "ssl" || (*at)[1] == "wss";
         if (its_tls != tls)

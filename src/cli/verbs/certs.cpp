@@ -87,7 +87,8 @@ int issue(Session& session, const Folder& folder) {
 std::string fixOf(const Certificate& certificate) {
     if (certificate.authority) return "axon certs init --force, then issue all certificates again";
     return "axon certs issue --" + certificate.unit + " " + shellWord(certificate.name) +
-           (certificate.names.empty() || certificate.names == std::vector{certificate.name} ? "" : " …") + " --force, then restart the program that uses it";
+           (certificate.names.empty() || certificate.names == std::vector{certificate.name} ? "" : " …") +
+           " --force, then restart the program that uses it";
 }
 
 /// What expires is said on the way, and expired is a failure: scripts ask for it.
@@ -147,7 +148,8 @@ extern const Verb kCerts{
     "  axon certs init                                       the laboratory's own CA, once\n"
     "  axon certs issue --server lab.example 192.168.0.5     its names and addresses\n"
     "  axon certs issue --router lab.example 192.168.0.5\n"
-    "  axon certs issue --front-end fe1 lab.example          of several servers: its Server.Name, then its hosts\n"
+    "  axon certs issue --front-end fe1 lab.example          of several servers: its Server.Name, then its "
+    "hosts\n"
     "  axon certs issue --entity-server es1 192.168.0.6\n"
     "  axon certs issue --storm lab.example                  for IceStorm between several servers\n"
     "  axon certs issue --entity PeopleBot                   the name in its basic profile\n"

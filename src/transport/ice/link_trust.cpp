@@ -78,18 +78,17 @@ void LinkTrust::guard(const std::shared_ptr<Ice::Communicator>& communicator) {
                                                   : std::string("was not shown"));
         return false;
     });
-    onRefused(communicator, [this](const std::string& peer, const std::string& local, const std::string& why) {
-        {
-            const std::lock_guard lock(mutex_);
-            if (!ports_.contains(portOf(local))) return;
-        }
-        ++refused_;  // the log has it
-        const auto what = "link between servers: a connection was refused: " + why;
-        trail_.note({.kind = audit::Kind::Refusal,
-                     .peer = peer,
-                     .what = what,
-                     .outcome = "PERMISSION_DENIED"});
-    });
+    onRefused(
+        communicator, [this](const std::string& peer, const std::string& local, const std::string& why) {
+            {
+                const std::lock_guard lock(mutex_);
+                if (!ports_.contains(portOf(local))) return;
+            }
+            ++refused_;  // the log has it
+            const auto what = "link between servers: a connection was refused: " + why;
+            trail_.note(
+                {.kind = audit::Kind::Refusal, .peer = peer, .what = what, .outcome = "PERMISSION_DENIED"});
+        });
 }
 
 bool LinkTrust::mayCome(const std::string& adapter, const std::string& peer,

@@ -88,8 +88,8 @@ class LinkTrust {
     RateLimit lines_{10};
     std::atomic<std::uint64_t> refused_{0};
     std::mutex mutex_;
-    std::map<std::string, Door> doors_;  // by the adapter's name; guarded by mutex_
-    std::set<std::uint16_t> ports_;      // of those adapters; guarded by mutex_
+    std::map<std::string, Door> doors_;                          // by the adapter's name; guarded by mutex_
+    std::set<std::uint16_t> ports_;                              // of those adapters; guarded by mutex_
     std::map<const Ice::Connection*, PeerCertificate> callers_;  // of open connections; guarded by mutex_
 };
 

@@ -61,9 +61,9 @@ void judgeCertificates(const std::shared_ptr<Ice::Communicator>& communicator,
                        std::function<bool(const Judged&)> accept);
 /// Told of each connection that IceSSL itself has refused: the address of the other end and the one here, and
 /// why. On Ice's threads, and as often as strangers cause it.
-void onRefused(const std::shared_ptr<Ice::Communicator>& communicator,
-               std::function<void(const std::string& peer, const std::string& local, const std::string& why)>
-                   refused);
+void onRefused(
+    const std::shared_ptr<Ice::Communicator>& communicator,
+    std::function<void(const std::string& peer, const std::string& local, const std::string& why)> refused);
 
 /// Why an Ice exception of TLS was thrown, and what to do; nothing for others. `setting_up`: the connection
 /// was being made, and a loss of it means that the other side did not like our certificate (TLS 1.3 tells the

@@ -63,7 +63,8 @@ bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason
 std::shared_ptr<Glacier2::SessionManagerPrx> verified(
     const std::shared_ptr<Glacier2::SessionManagerPrx>& neighbour, const std::string& name,
     certificates::Kind kind) {
-    const auto over = neighbour->ice_getConnection();
+    // One that is cached would be returned also when it is closed.
+    const auto over = neighbour->ice_connectionCached(false)->ice_getConnection();
     if (!over || !isTls(*over)) return neighbour;
     const auto why = notServer(*over, kind, name);
     // That of a server without a kind of its own has the name of its machine.
@@ -72,8 +73,7 @@ std::shared_ptr<Glacier2::SessionManagerPrx> verified(
         cannotCreate("the server at Server.Peer." + name + " is not used: the certificate that it shows " +
                      *why);
     }
-    return Ice::uncheckedCast<Glacier2::SessionManagerPrx>(
-        over->createProxy(neighbour->ice_getIdentity()));
+    return Ice::uncheckedCast<Glacier2::SessionManagerPrx>(over->createProxy(neighbour->ice_getIdentity()));
 }
 
 /// `pass_on(neighbour)` asks the server that has the other lane's session.

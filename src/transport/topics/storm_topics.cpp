@@ -116,7 +116,7 @@ class StormTopics::Search {
 
     void connect() {
         if (settings_.links == nullptr) return;
-        over_ = manager_->ice_secure(true)->ice_getConnection();
+        over_ = manager_->ice_secure(true)->ice_connectionCached(false)->ice_getConnection();
         if (const auto why = notServer(*over_, certificates::Kind::Storm, {})) {
             over_->close(Ice::ConnectionClose::Forcefully);
             throw NoStorm(*why);

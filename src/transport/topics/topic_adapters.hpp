@@ -73,11 +73,10 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
         std::shared_ptr<Ice::Object> servant =
             std::make_shared<Servant>(core, lane, via, straight ? links : nullptr);
         if (links != nullptr)
-            servant = std::make_shared<JudgedCalls>(std::move(servant), *links,
-                                                    [straight](std::string_view operation) {
-                                                        return straight ? Servant::callerOf(operation)
-                                                                        : Kind::Storm;
-                                                    });
+            servant = std::make_shared<JudgedCalls>(
+                std::move(servant), *links, [straight](std::string_view operation) {
+                    return straight ? Servant::callerOf(operation) : Kind::Storm;
+                });
         return adapter.add(servant, identity)->ice_toString();
     };
     made.subscriber = add(*made.data, Lane::Data, Via::Topic);

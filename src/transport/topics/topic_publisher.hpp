@@ -316,10 +316,13 @@ class TopicPublisher {
                                  ->ice_oneway()
                                  ->ice_invocationTimeout(-1)
                                  ->ice_connectionId(connection);
-                if (links_ != nullptr)
-                    routes.push_back({place, proxy->ice_secure(true), nullptr, std::make_shared<Attempt>()});
-                else
+                if (links_ != nullptr) {
+                    // A proxy that caches its connection would return it also when it is closed.
+                    const auto asked = proxy->ice_secure(true)->ice_connectionCached(false);
+                    routes.push_back({place, asked, nullptr, std::make_shared<Attempt>()});
+                } else {
                     routes.push_back({place, proxy, sender(proxy, limits), nullptr});
+                }
             } catch (const Ice::Exception& error) {
                 spdlog::warn("{}: '{}' is not a proxy to which messages can be published ({})", who_,
                              place.proxy, error.ice_id());
