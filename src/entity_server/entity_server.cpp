@@ -17,7 +17,8 @@ struct EntityServer::Parts {
               {[this](const Header& head, const Refusal& refusal) {
                    core.peerRefusal(Lane::Data, head, refusal);
                },
-               [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }}),
+               [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }},
+              settings.links),
           core(
               settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { rim.wake(); },

@@ -16,7 +16,8 @@ struct FrontEndServer::Parts {
         : topic(data, settings.topic_signals,
                 [this](const Header& head, const Refusal& refusal) {
                     core.entityRefusal(Lane::Data, head, refusal);
-                }),
+                },
+                settings.links),
           core(
               settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { rim.wake(); }, settings.global_services, settings.audit, settings.users),
