@@ -24,7 +24,7 @@ struct EntityServer::Parts {
               [this] {
                   if (auto* thread = publisher_ready.load()) thread->wake();
               },
-              settings.audit),
+              settings.audit, settings.users),
           rim(core, topic, settings, data, signal, clock) {
         publisher = std::make_unique<transport::TimerThread>("axon-publisher", Lane::Data, Duration{}, clock,
                                                              [this, &clock] {

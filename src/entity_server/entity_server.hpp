@@ -30,6 +30,8 @@ struct EntityServerSettings {
     transport::Logins* logins = nullptr;
     /// Where it is recorded what happens to entities. Outlives end(). Null: nowhere.
     audit::AuditTrail* audit = nullptr;
+    /// Who may be here at this moment. Outlives end(). Null: there are no users.
+    const users::PresentUsers* users = nullptr;
     /// Where Glacier2 routers ask for passwords and sessions (EntityServerRouter); empty: none may.
     std::string router_endpoint = {};
     /// Of this server, where there are several; letters, digits, '-', '_' and '.'.

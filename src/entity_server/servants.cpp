@@ -197,8 +197,8 @@ void IceFrontEndTopic::peerRefusal(Lane lane, const std::string& server, const H
 Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr<Prx> callback,
                                                                  const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Data, current);
-    auto session =
-        lane_.core.open(std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()));
+    auto session = lane_.core.open(
+        std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()), user_);
     const auto token = EntityServerCore::token(*session);
     session_.adopt(std::move(session));
     return {lane_.toPeer(token), lane_.signalEndpoint(*session_.peer())};
@@ -278,7 +278,7 @@ void EntityGateServant::openAsync(std::string user, std::string password, Opened
 std::shared_ptr<EntitySessionServant> EntitySessions::make(
     EntityLane& lane, const std::shared_ptr<transport::PeerConnection>& peer, const transport::LoggedIn& who,
     const std::string&) {
-    return std::make_shared<EntitySessionServant>(lane, peer, who.entity);
+    return std::make_shared<EntitySessionServant>(lane, peer, who.entity, who.user);
 }
 
 certificates::Kind FrontEndToEntityServant::callerOf(std::string_view operation) {

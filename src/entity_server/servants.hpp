@@ -102,11 +102,13 @@ using EntityLane = transport::SessionLane<EntityServerCore, EntitySessionServant
 /// attachSignalLane), closed. Answers only on the connection that opened it.
 class EntitySessionServant final : public Axon::EntityComm::EntitySession {
   public:
-    /// `certified`: the only name that it may register, by its certificate; empty: any.
+    /// `certified`: the only name that it may register, by its certificate; empty: any. `user`: who has
+    /// logged in; empty where nobody has a name.
     EntitySessionServant(EntityLane& lane, std::shared_ptr<transport::PeerConnection> peer,
-                         std::string certified = {})
+                         std::string certified = {}, std::string user = {})
         : lane_(lane),
           certified_(std::move(certified)),
+          user_(std::move(user)),
           session_(std::move(peer), [&lane](const auto& session, const Farewell& farewell) {
               lane.core.leave(session, farewell.orderly, farewell.why);
           }) {}
@@ -143,6 +145,7 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession {
 
     EntityLane& lane_;
     const std::string certified_;
+    const std::string user_;
     transport::LaneSession<EntityServerCore::SessionRef, Farewell> session_;
 };
 

@@ -21,7 +21,7 @@ struct FrontEndServer::Parts {
               settings.links),
           core(
               settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),
-              [this] { rim.wake(); }, settings.global_services, settings.audit),
+              [this] { rim.wake(); }, settings.global_services, settings.audit, settings.users),
           rim(core, topic, settings, data, signal, its_clock),
           clock(its_clock) {}
 

@@ -34,6 +34,8 @@ struct FrontEndServerSettings {
     GlobalServicesPort* global_services = nullptr;
     /// Where it is recorded what clients do. Outlives end(). Null: nowhere.
     audit::AuditTrail* audit = nullptr;
+    /// Who may be here at this moment. Outlives end(). Null: there are no users.
+    const users::PresentUsers* users = nullptr;
     /// Where Glacier2 routers ask for passwords and sessions (FrontEndServerRouter); empty: none may.
     std::string router_endpoint = {};
     /// Of this server, where there are several; letters, digits, '-', '_' and '.'.

@@ -31,6 +31,7 @@
 #include "transport/ice/timer_thread.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/topics/storm_topics.hpp"
+#include "users/users_watch.hpp"
 
 namespace axon::server {
 
@@ -256,7 +257,7 @@ void checkConsole(const ConsoleSettings& console, bool has_users) {
     }
 }
 
-std::optional<Users> usersOf(const ServerSettings& settings) {
+std::shared_ptr<const users::Users> usersOf(const ServerSettings& settings) {
     checkBetweenServers(settings);
     checkConsole(settings.console, !settings.users_file.empty());
     const bool has_users = !settings.users_file.empty();
@@ -277,8 +278,10 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
             "included, can be read and changed on the way; fix: use it only in a network that you trust, or "
             "listen over TLS");
     }
-    if (!has_users) return std::nullopt;
-    return Users::read(settings.users_file);
+    if (!has_users) return nullptr;
+    auto its = std::make_shared<const users::Users>(users::Users::read(settings.users_file));
+    note("users: " + users::summaryOf(*its, settings.users_file));
+    return its;
 }
 
 transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane) {
@@ -447,8 +450,9 @@ class Server::Parts {
   public:
     explicit Parts(const ServerSettings& settings)
         : trail(trailOf(settings)),
+          first_users(usersOf(settings)),
           logins(
-              usersOf(settings), clock, note,
+              first_users, clock, note,
               [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); },
               trail.get()),
           links(trustOf(settings, steady, trail.get())),
@@ -462,6 +466,7 @@ class Server::Parts {
             auto its = entitySettings(settings, links.get());
             its.logins = &logins;
             its.audit = trail.get();
+            its.users = first_users ? &logins : nullptr;
             its.limits = &limits;
             its.here = both ? &clients_here : nullptr;
             its.topic_signals = signal.communicator();  // stops
@@ -471,6 +476,7 @@ class Server::Parts {
             auto its = frontEndSettings(settings, links.get());
             its.logins = &logins;
             its.audit = trail.get();
+            its.users = first_users ? &logins : nullptr;
             its.limits = &limits;
             if (!settings.global_services.empty()) {
                 services_folder.emplace(settings.global_services, clock, note);
@@ -488,13 +494,18 @@ class Server::Parts {
         }
         if (entity) entity->activate();
         if (front_end) front_end->activate();
-        if (services_folder)
-            services_timer.emplace("axon-services", Lane::Data, global_services::ServicesFolder::kPeriod,
-                                   clock, [this] { return services_folder->onTimer(); });
+        if (first_users)
+            users_watch.emplace(
+                settings.users_file, first_users, clock, note,
+                [this](std::shared_ptr<const users::Users> users) { take(std::move(users)); });
+        if (services_folder || users_watch)
+            files_timer.emplace("axon-files", Lane::Data, global_services::ServicesFolder::kPeriod, clock,
+                                [this] { return lookForFiles(); });
         if (!settings.topic_manager.empty()) joinTopics(settings.topic_manager);
     }
 
     ~Parts() {
+        files_timer.reset();  // it calls what follows
         if (front_end) front_end->core().shutDown();
         topics.reset();
         logins.close();  // a communicator waits for calls that are not answered
@@ -507,6 +518,21 @@ class Server::Parts {
         closeBrowsers();
         if (entity) entity->end();
         if (front_end) front_end->end();
+    }
+
+    /// Whether the files of the administrator have changed.
+    TimePoint lookForFiles() {
+        auto next = clock.now() + std::chrono::hours{1};
+        if (services_folder) next = std::min(next, services_folder->onTimer());
+        if (users_watch) next = std::min(next, users_watch->onTimer());
+        return next;
+    }
+
+    /// First who may come in, then who may stay: whoever comes in between is asked again by the cores.
+    void take(std::shared_ptr<const users::Users> users) {
+        logins.setUsers(std::move(users));
+        if (front_end) front_end->core().usersChanged();
+        if (entity) entity->core().usersChanged();
     }
 
     /// A console that nobody has asked for is no reason not to start: the robots need the server.
@@ -587,6 +613,7 @@ class Server::Parts {
     transport::ConnectionLimits limits{steady, note};
     std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;
+    const std::shared_ptr<const users::Users> first_users;  // null: there are none
     LoginDesk logins;
     const std::unique_ptr<transport::LinkTrust> links;  // null but where those to other servers are under TLS
     Ice::CommunicatorHolder data;
@@ -598,10 +625,11 @@ class Server::Parts {
     ClientsHere clients_here;
     EntitiesHere entities_here;
     std::optional<global_services::ServicesFolder> services_folder;  // none in an entity server's process
-    std::optional<transport::TimerThread> services_timer;
-    std::optional<entity_server::EntityServer> entity;          // none in a front-end server's process
-    std::optional<front_end_server::FrontEndServer> front_end;  // none in an entity server's process
+    std::optional<entity_server::EntityServer> entity;               // none in a front-end server's process
+    std::optional<front_end_server::FrontEndServer> front_end;       // none in an entity server's process
     std::optional<transport::StormTopics> topics;
+    std::optional<users::UsersWatch> users_watch;
+    std::optional<transport::TimerThread> files_timer;  // where there is a file to look for
 };
 
 Server::Server(ServerSettings settings) : parts_(std::make_unique<Parts>(settings)) {}

@@ -17,7 +17,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 import probe  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
 BIN = programs()
 
@@ -80,8 +80,8 @@ class ClusterCommandTest(unittest.TestCase):
         self.assertEqual(status, 0, errors)
         robot = self.lab.folder / "robot"
         shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
-        low = 5600 + os.getpid() % 1900
-        (robot / "ports.cfg").write_text(f"Axon.Ports = {low}-{low + 3}\n")
+        ports = "%d-%d" % robot_ports()
+        (robot / "ports.cfg").write_text(f"Axon.Ports = {ports}\n")
         self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
         manager = [line for line in pathlib.Path(cluster.status["entity_config"]).read_text().splitlines()
                    if not line.startswith(("Axon.User=", "Axon.Password="))]
@@ -90,7 +90,7 @@ class ClusterCommandTest(unittest.TestCase):
             file = self.lab.folder / f"{name}.cfg"
             file.write_text("\n".join(manager).replace("entity-entity.", f"{certificate}.") + "\n")
             return self.lab.start(name, "axon-entity-manager", "--config", file, "--application", "Greeter",
-                                  "--ports", f"{low}-{low + 3}", "--state", self.lab.folder / f"state-{name}")
+                                  "--ports", ports, "--state", self.lab.folder / f"state-{name}")
 
         other = run("another-name", "entity-entity")
         wait_until(lambda: "the certificate that was shown is the entity 'entity's" in other.text(), "it is told why", 15)
