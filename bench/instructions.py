@@ -28,7 +28,7 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 sys.dont_write_bytecode = True
-from laboratory import Failed, Process, addresses  # noqa: E402
+from laboratory import Failed, Process, addresses, robot_ports  # noqa: E402
 
 BYTES = 60
 NAME = "Counted"
@@ -83,7 +83,7 @@ class Pair:
         os.mkfifo(pipe)
         self.requests = folder / "requests"
         os.mkfifo(self.requests)
-        port = 5500 + os.getpid() % 2400
+        port, _ = robot_ports()
         server = self.start("server", programs / "axon-server", *(word for what in ("client", "client-signal", "entity", "entity-signal")
                                                                   for word in (f"--{what}-endpoint", "127.0.0.1:0")))
         at = addresses(server.wait_for("ready ", START_SECONDS))

@@ -3,7 +3,6 @@
 
     AXON_BIN=build/release/bin AXON_TEST_BIN=build/release/tests PYTHONPATH=build/release/python python3 -m pytest -s python/tests/benchmark_test.py
 """
-import os
 import resource
 import subprocess
 import time
@@ -12,7 +11,7 @@ import pytest
 
 import axon
 from support import BIN, ROOT, TEST_BIN
-from laboratory import Laboratory  # noqa: E402  (support has set the path)
+from laboratory import Laboratory, robot_ports  # noqa: E402  (support has set the path)
 
 
 @pytest.fixture
@@ -26,7 +25,7 @@ def two_cameras():
         (folder / "basic.xml").write_text((profiles / "basic.xml").read_text().replace('"Camera"', f'"{name}"'))
         (folder / "services.xml").write_bytes((profiles / "services.xml").read_bytes())
         ports = lab.folder / f"{name}.cfg"
-        first = 6100 + (os.getpid() % 100) * 10 + number * 5
+        first = robot_ports()[0] + number * 5
         ports.write_text(f"Axon.Ports = {first}-{first + 4}\n")
         its_own = dict(lab.env, XDG_STATE_HOME=str(folder / "state"))
         lab.start(f"camera-{name}", TEST_BIN / "camera-entity", folder, ports, env=its_own)

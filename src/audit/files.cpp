@@ -24,7 +24,7 @@ constexpr std::string_view kEnding = ".jsonl";
 
 /// Of a disk that may have room again, or come back.
 bool passes(int error) {
-    return error == ENOSPC || error == EDQUOT || error == EIO || error == EROFS;
+    return error == ENOSPC || error == EDQUOT || error == EFBIG || error == EIO || error == EROFS;
 }
 
 bool isPlain(char c) {
@@ -50,7 +50,10 @@ std::string tailOf(int fd, std::uint64_t size) {
 std::string safeName(std::string_view name) {
     static constexpr std::string_view kDigits = "0123456789ABCDEF";
     std::string safe;
-    for (const char c : name.substr(0, 64)) {
+    // Longer than a file system's names may be: the beginning, for people, and a hash, for uniqueness. No
+    // other name has a '~'.
+    const bool whole = name.size() <= 64;
+    for (const char c : whole ? name : name.substr(0, 32)) {
         if (isPlain(c)) {
             safe += c;
             continue;
@@ -58,6 +61,7 @@ std::string safeName(std::string_view name) {
         const auto byte = static_cast<unsigned char>(c);
         safe += {'%', kDigits[byte >> 4U], kDigits[byte & 15U]};
     }
+    if (!whole) safe += '~' + hashOf(name).substr(0, 32);
     return safe.empty() ? "%" : safe;
 }
 
@@ -179,14 +183,13 @@ bool Files::findEnd() {
             more = at != std::string::npos;
             if (!ended) {
                 hash_ = hashOf(std::string_view(line).substr(0, kLineMax + 1));  // as the reader
-                if (unfinished) {
-                    if (!readLine(line)) unfinished_ = line.size();
-                    if (file == files.rbegin()) rest_ = "\n";
-                }
+                if (!readLine(line) && (unfinished || line.starts_with("{\"n\":"))) unfinished_ = line.size();
+                if (unfinished && file == files.rbegin()) rest_ = "\n";
                 ended = true;
             }
             if (const auto record = readLine(line)) {
                 number_ = record->number;
+                last_ = record;
                 file_ = files.rbegin()->first;
                 return true;
             }

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
 
 #include "audit/line.hpp"
@@ -16,7 +17,8 @@
 namespace axon::audit {
 
 /// A name as it may be in the name of a file: letters, digits, '-' and '_' stay, other bytes become "%" and
-/// two digits. Different names stay different.
+/// two digits. Of a name of more than 64 bytes the first 32 are followed by "~" and a part of its SHA-256.
+/// Different names stay different.
 std::string safeName(std::string_view name);
 
 /// The files of each trail in a folder, by the trail's name and the number of the file: NAME.NUMBER.jsonl.
@@ -61,6 +63,9 @@ class Files {
     /// Bytes of the line without end that was found at the beginning; 0 = there was none.
     std::uint64_t unfinished() const { return unfinished_; }
     const std::filesystem::path& folder() const { return folder_; }
+    /// The last record that was found at the beginning; none where the trail has none, or the disk does not
+    /// answer.
+    const std::optional<Record>& last() const { return last_; }
 
   private:
     bool open();
@@ -86,6 +91,7 @@ class Files {
     bool unsynced_ = false;
     std::string not_ours_;  // why the folder or a file is refused
     std::uint64_t unfinished_ = 0;
+    std::optional<Record> last_;
     int error_ = 0;
 };
 

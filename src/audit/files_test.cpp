@@ -185,6 +185,33 @@ TEST_F(AuditFiles, TheNextLifeEndsALineThatIsCutOffAnywhereAndGoesOn) {
     }
 }
 
+// A kill after the line was ended, and before the record that says so.
+TEST_F(AuditFiles, ALineThatWasEndedByALifeThatWasKilledTooIsToldByTheNext) {
+    {
+        Files files(folder.path, "server", bounds);
+        ASSERT_TRUE(files.append(record("one")));
+    }
+    const auto text = folder.text("server.1.jsonl") + "{\"n\":2,\"at";
+    folder.write("server.1.jsonl", text + '\n');
+    Files files(folder.path, "server", bounds);
+    EXPECT_EQ(files.unfinished(), 10U);
+    ASSERT_TRUE(files.append(record("on", "started")));
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+    EXPECT_EQ(folder.chain().unfinished.size(), 1U);
+}
+
+TEST_F(AuditFiles, AFileThatMayNotGrowIsTriedAgainLikeAFullDisk) {
+    int tries = 0;
+    const auto write = [&tries](int fd, const char* bytes, std::size_t count) -> ssize_t {
+        if (++tries > 1) return ::write(fd, bytes, count);
+        errno = EFBIG;
+        return -1;
+    };
+    Files files(folder.path, "server", bounds, write);
+    EXPECT_FALSE(files.append(record("one")));
+    EXPECT_TRUE(files.append(record("one")));
+}
+
 // A real process, killed while it writes: all but the last record are whole.
 TEST_F(AuditFiles, AKillCostsNoRecordButTheOneThatIsBeingWritten) {
     std::uint64_t told = 0;
@@ -297,9 +324,23 @@ TEST_F(AuditFiles, NoNameIsAPath) {
     EXPECT_EQ(safeName("axon-server_1"), "axon-server_1");
     EXPECT_EQ(safeName("../a.b"), "%2E%2E%2Fa%2Eb");
     EXPECT_EQ(safeName(""), "%");
+    EXPECT_EQ(safeName(std::string(64, 'a')), std::string(64, 'a'));
     Files files(folder.path, "../a.b", bounds);
     ASSERT_TRUE(files.append(record("one")));
     EXPECT_TRUE(fs::exists(folder.path / "%2E%2E%2Fa%2Eb.1.jsonl"));
+}
+
+TEST_F(AuditFiles, NamesThatBeginAlikeHaveTrailsOfTheirOwnHoweverLong) {
+    const std::string begin(64, 'a');
+    EXPECT_NE(safeName(begin + "1"), safeName(begin + "2"));
+    EXPECT_NE(safeName(begin), safeName(begin + "a"));
+    // Of any length, and of bytes that take three characters each.
+    for (const auto& name : {begin + "1", begin + "2", std::string(10'000, '/'), std::string(64, '/')}) {
+        EXPECT_LT(safeName(name).size(), 230U);
+        Files files(folder.path, name, bounds);
+        EXPECT_TRUE(files.append(record("one")));
+    }
+    EXPECT_EQ(trailFiles(folder.path).size(), 4U);
 }
 
 TEST_F(AuditFiles, OtherFilesOfTheFolderAreNoTrail) {

@@ -63,10 +63,13 @@ bool ChainReader::beginsARecord(std::string_view text) const {
 /// What becomes of the lines before that are no records.
 void ChainReader::endTorn(std::uint64_t lines, bool covered) {
     for (const auto& [place, begins_a_record] : torn_) {
-        if (covered && begins_a_record)
-            chain_.unfinished.push_back(place.file + ':' + std::to_string(place.line));
-        else
+        if (!covered || !begins_a_record) {
             add(place, "is no record: it was changed or damaged");
+            continue;
+        }
+        ++chain_.unfinished_lines;
+        if (chain_.unfinished.size() < Chain::kFaults)
+            chain_.unfinished.push_back(place.file + ':' + std::to_string(place.line));
     }
     chain_.faulty += lines - torn_.size();
     torn_.clear();

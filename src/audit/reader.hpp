@@ -33,9 +33,10 @@ struct Chain {
     std::string last_at;                ///< time of the last record
     std::vector<Fault> faults;          ///< the first kFaults
     std::uint64_t faulty = 0;           ///< all of them
-    /// Lines that a kill or a loss of power has cut off, "FILE:LINE". They are no fault.
+    /// Lines that a kill or a loss of power has cut off, "FILE:LINE", the first kFaults. They are no fault.
     std::vector<std::string> unfinished;
-    bool kept_found = false;  ///< a line has the hash that was asked for
+    std::uint64_t unfinished_lines = 0;  ///< all of them
+    bool kept_found = false;             ///< a line has the hash that was asked for
 
     bool whole() const { return faulty == 0; }
 };

@@ -176,6 +176,79 @@ TEST_F(AuditReader, TwoLivesThatAreKilledAtOnceLeaveTwoUnfinishedLines) {
     EXPECT_EQ(folder.chain().unfinished.size(), 2U);
 }
 
+TEST_F(AuditReader, AProgramThatIsKilledManyTimesLeavesManyUnfinishedLinesInOneFile) {
+    fs::remove(file(1));
+    fs::remove(file(2));
+    fs::remove(file(3));
+    const auto append = [this](const std::string& kind) {
+        Files files(folder.path, "server", {});
+        Record record;
+        record.at = utcTime(0);
+        record.kind = kind;
+        EXPECT_TRUE(files.append(record));
+    };
+    append("started");
+    constexpr std::size_t kKills = Chain::kFaults + 20;
+    for (std::size_t i = 0; i < kKills; ++i) {
+        append("stop");
+        const auto text = folder.text("server.1.jsonl");
+        // Each at another byte of the last record.
+        folder.write("server.1.jsonl", text.substr(0, text.size() - 2 - i));
+        append("started");
+    }
+    const auto chain = folder.chain();
+    EXPECT_THAT(chain.faults, IsEmpty());
+    EXPECT_EQ(chain.records, 1 + kKills);
+    EXPECT_EQ(chain.unfinished_lines, kKills);
+    ASSERT_EQ(chain.unfinished.size(), Chain::kFaults) << "only so many are named";
+    EXPECT_EQ(chain.unfinished[0], file(1) + ":2");
+    EXPECT_EQ(chain.unfinished[1], file(1) + ":4");
+    // It is no way to hide a change: neither of an unfinished line …
+    const auto text = folder.text("server.1.jsonl");
+    auto lines_of_it = linesOf(text);
+    lines_of_it[3][10] = '!';
+    const auto all = [](const std::vector<std::string>& them) {
+        std::string joined;
+        for (const auto& line : them) joined += line + '\n';
+        return joined;
+    };
+    folder.write("server.1.jsonl", all(lines_of_it));
+    EXPECT_FALSE(folder.chain().whole());
+    // … nor of a record that is made an unfinished one.
+    lines_of_it = linesOf(text);
+    lines_of_it[2].resize(40);
+    folder.write("server.1.jsonl", all(lines_of_it));
+    EXPECT_FALSE(folder.chain().whole());
+}
+
+TEST_F(AuditReader, NoticesARecordThatWasInsertedWhateverNumberAndHashItHas) {
+    const auto whole = lines;
+    for (const auto& number : {readLine(whole[1])->number, readLine(whole[1])->number + 1}) {
+        auto record = *readLine(whole[1]);
+        record.number = number;
+        record.before = hashOf(whole[1]);
+        record.what = "never happened";
+        lines = whole;
+        lines.insert(lines.begin() + 2, lineOf(record));
+        writeLines();
+        EXPECT_FALSE(folder.chain().whole()) << number;
+    }
+}
+
+TEST_F(AuditReader, RecordsThatAreCutOffAtTheEndAreMissedOnlyByWhoHasKeptAHash) {
+    const auto kept = folder.chain().hash;
+    lines = linesOf(folder.text("server.3.jsonl"));
+    lines.pop_back();
+    std::string text;
+    for (const auto& line : lines) text += line + '\n';
+    folder.write("server.3.jsonl", text);
+    EXPECT_TRUE(folder.chain().whole());
+    EXPECT_FALSE(folder.chain(kept).kept_found);
+    fs::remove(file(3));
+    EXPECT_TRUE(folder.chain().whole());
+    EXPECT_FALSE(folder.chain(kept).kept_found);
+}
+
 TEST_F(AuditReader, SeveralDamagedLinesAtTheEndAreAFault) {
     folder.write("server.3.jsonl", folder.text("server.3.jsonl") + "x\ny\n");
     EXPECT_EQ(folder.chain().faulty, 2U);

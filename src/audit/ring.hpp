@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <span>
 #include <string_view>
 #include <vector>
 
@@ -18,8 +19,8 @@ namespace axon::audit {
 /// that exist from the beginning (after D. Vyukov's bounded queue). A push copies the texts into a slot; it
 /// takes no lock and allocates nothing. Texts that are longer than their part of a slot are cut.
 ///
-/// Threads: push() any, pop() one. Bounded: `slots`, rounded up to a power of two. When it is full, push()
-/// returns false.
+/// Threads: push() any; front(), drop() and pop() one. Bounded: `slots`, rounded up to a power of two. When
+/// it is full, push() returns false.
 class Ring {
   public:
     static constexpr std::size_t kTexts = 7;
@@ -38,15 +39,59 @@ class Ring {
             const std::size_t begin = which == 0 ? 0 : ends.at(which - 1);
             return {bytes.data() + begin, ends.at(which) - begin};
         }
+        /// Of what another life has left.
+        bool sound() const {
+            std::uint16_t begin = 0;
+            for (std::size_t i = 0; i < kTexts; ++i) {
+                if (ends[i] < begin || ends[i] - begin > static_cast<int>(kLongest[i])) return false;
+                begin = ends[i];
+            }
+            return static_cast<std::size_t>(kind) < kKinds.size();
+        }
     };
 
-    explicit Ring(std::size_t slots) : slots_(std::bit_ceil(std::max<std::size_t>(slots, 2))) {
+    /// `turn`: the position in the whole sequence for which it is free, and one more when it has its note.
+    struct Slot {
+        std::atomic<std::size_t> turn{0};
+        Kept kept;
+    };
+
+    explicit Ring(std::size_t slots) : own_(std::bit_ceil(std::max<std::size_t>(slots, 2))), slots_(own_) {
         for (std::size_t i = 0; i < slots_.size(); ++i) slots_[i].turn.store(i, std::memory_order_relaxed);
     }
+    /// In slots of somebody else, which outlive it: a power of two of them, empty (Slots).
+    explicit Ring(std::span<Slot> slots) : slots_(slots) {}
 
     std::size_t slots() const { return slots_.size(); }
 
     bool push(const Note& note, std::int64_t at_us) {
+        return pushInto([&](Kept& to) { keep(note, at_us, to); });
+    }
+    bool push(const Kept& kept) {
+        return pushInto([&](Kept& to) { to = kept; });
+    }
+
+    /// The oldest, which stays where it is until drop(); null: there is none.
+    const Kept* front() const {
+        const auto& slot = slots_[next_out_ & (slots_.size() - 1)];
+        return slot.turn.load(std::memory_order_acquire) == next_out_ + 1 ? &slot.kept : nullptr;
+    }
+    void drop() {
+        auto& slot = slots_[next_out_ & (slots_.size() - 1)];
+        slot.turn.store(next_out_ + slots_.size(), std::memory_order_release);
+        ++next_out_;
+    }
+    bool pop(Kept& to) {
+        const auto* const oldest = front();
+        if (oldest == nullptr) return false;
+        to = *oldest;
+        drop();
+        return true;
+    }
+
+  private:
+    template <class Fill>
+    bool pushInto(Fill fill) {
         auto at = next_in_.load(std::memory_order_relaxed);
         Slot* slot = nullptr;
         while (true) {
@@ -59,25 +104,10 @@ class Ring {
                 break;
             }
         }
-        keep(note, at_us, slot->kept);
+        fill(slot->kept);
         slot->turn.store(at + 1, std::memory_order_release);
         return true;
     }
-
-    bool pop(Kept& to) {
-        auto& slot = slots_[next_out_ & (slots_.size() - 1)];
-        if (slot.turn.load(std::memory_order_acquire) != next_out_ + 1) return false;
-        to = slot.kept;
-        slot.turn.store(next_out_ + slots_.size(), std::memory_order_release);
-        ++next_out_;
-        return true;
-    }
-
-  private:
-    struct Slot {
-        std::atomic<std::size_t> turn{0};
-        Kept kept;
-    };
 
     static void keep(const Note& note, std::int64_t at_us, Kept& to) {
         to.kind = note.kind;
@@ -97,7 +127,8 @@ class Ring {
         }
     }
 
-    std::vector<Slot> slots_;
+    std::vector<Slot> own_;
+    const std::span<Slot> slots_;
     std::atomic<std::size_t> next_in_{0};
     std::size_t next_out_ = 0;  // of the thread that pops
 };

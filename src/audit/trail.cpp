@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <optional>
 #include <system_error>
 #include <utility>
 
@@ -30,7 +31,16 @@ Record recordOf(const Ring::Kept& kept) {
     return record;
 }
 
-Record startOf(const std::string& started, std::uint64_t unfinished) {
+/// It is `last` of the files: its life was killed before it could say that it has written it.
+bool isWritten(const Ring::Kept& kept, const std::optional<Record>& last) {
+    if (!last) return false;
+    auto record = recordOf(kept);
+    record.number = last->number;
+    record.before = last->before;
+    return lineOf(record) == lineOf(*last);
+}
+
+Record startOf(const std::string& started, std::uint64_t unfinished, std::size_t left) {
     Record record;
     record.at = utcTime(wallTimeUs());
     record.kind = toString(Kind::Started);
@@ -38,11 +48,17 @@ Record startOf(const std::string& started, std::uint64_t unfinished) {
     if (unfinished > 0)
         record.what +=
             "; the line before this record was not finished (" + std::to_string(unfinished) + " bytes)";
+    if (left > 0)
+        record.what +=
+            "; " + std::to_string(left) +
+            (left == 1 ? " record of the life before follows" : " records of the life before follow");
     return record;
 }
 
 std::string fixOf(int error) {
     if (error == ENOSPC || error == EDQUOT) return "; fix: make room on the disk";
+    if (error == EFBIG)
+        return "; fix: raise the limit of this process on the size of files (LimitFSIZE=, ulimit -f)";
     if (error == EACCES || error == EPERM || error == EROFS)
         return "; fix: let this user write to the folder and its files";
     return {};
@@ -55,14 +71,22 @@ Trail::Trail(const TrailSettings& settings, const std::string& name, const std::
     : settings_(settings),
       report_(std::move(report)),
       clock_(clock != nullptr ? *clock : steady_),
-      ring_(settings.waiting),
-      limit_(settings.per_second),
+      shares_(settings.shares),
       files_(settings.folder, name, settings.files, std::move(write), std::move(sync)),
+      slots_(settings.folder, name, settings.waiting),
+      ring_(slots_.all()),
       pause_(settings.retry_first) {
     if (files_.unfinished() > 0)
         report_("audit: the last record of the trail in " + files_.folder().string() +
                 " was not finished: the program was killed, or the machine lost its power");
-    thread_ = std::thread([this, first = startOf(started, files_.unfinished())] {
+    // Where a life that was killed has left them, but behind the record of this one's start.
+    auto left = slots_.takeLeft();
+    if (!left.empty() && isWritten(left.front(), files_.last())) left.erase(left.begin());
+    for (const auto& kept : left) ring_.push(kept);
+    if (!slots_.whyNot().empty())
+        report_("audit: a kill of this process would lose the records that wait for the disk: " +
+                slots_.whyNot());
+    thread_ = std::thread([this, first = startOf(started, files_.unfinished(), left.size())] {
         pthread_setname_np(pthread_self(), "axon-audit");
         if (this->write(first)) run();
     });
@@ -72,10 +96,11 @@ Trail::~Trail() {
     ending_ = true;
     wake_up_.wake();
     thread_.join();
+    if (ring_.front() == nullptr) slots_.forget();
 }
 
 void Trail::note(const Note& note) {
-    if ((note.kind == Kind::Command || note.kind == Kind::Refusal) && !limit_.admit(clock_.now())) {
+    if ((note.kind == Kind::Command || note.kind == Kind::Refusal) && !shares_.admit(note, clock_.now())) {
         left_out_.fetch_add(1, std::memory_order_relaxed);
     } else if (!ring_.push(note, wallTimeUs())) {
         lost_.fetch_add(1, std::memory_order_relaxed);
@@ -104,10 +129,13 @@ void Trail::run() {
 
 /// False: the program ends, and the disk does not take it.
 bool Trail::writeWaiting() {
-    Ring::Kept kept;
     // No more than fit at once: what a flood costs is told while it lasts.
-    for (std::size_t i = 0; i < ring_.slots() && ring_.pop(kept); ++i)
-        if (!write(recordOf(kept))) return false;
+    for (std::size_t i = 0; i < ring_.slots(); ++i) {
+        const auto* const oldest = ring_.front();
+        if (oldest == nullptr) return true;
+        if (!write(recordOf(*oldest))) return false;
+        ring_.drop();  // a kill before this: the next life sees that it is written
+    }
     return true;
 }
 
@@ -144,7 +172,10 @@ bool Trail::failed() {
                 std::generic_category().message(files_.error()) + "); " + std::to_string(settings_.waiting) +
                 " records are kept, and further ones counted, until it can" + fixOf(files_.error()));
     if (ending_) {
-        report_("audit: what was not written is lost");
+        report_(slots_.whyNot().empty() ? "audit: what was not written waits for the next start of the "
+                                          "program, unless the machine is "
+                                          "restarted before"
+                                        : "audit: what was not written is lost");
         return false;
     }
     waitFor(static_cast<int>(pause_.count()));

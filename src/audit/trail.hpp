@@ -12,8 +12,9 @@
 #include "audit/files.hpp"
 #include "audit/note.hpp"
 #include "audit/ring.hpp"
+#include "audit/shares.hpp"
+#include "audit/slots.hpp"
 #include "common/clock.hpp"
-#include "common/rate_limit.hpp"
 #include "host/wake_up.hpp"
 
 namespace axon::audit {
@@ -23,7 +24,7 @@ struct TrailSettings {
     std::filesystem::path folder;  ///< empty: nothing is recorded
     Files::Bounds files;
     std::size_t waiting = 4096;                  ///< notes that wait for the disk
-    std::uint32_t per_second = 200;              ///< commands and refusals; more in a second are counted
+    ShareBounds shares;                          ///< of commands and refusals; more in a second are counted
     std::chrono::milliseconds retry_first{100};  ///< after a write that failed, and twice as long each time
     std::chrono::milliseconds retry_most{5000};
 };
@@ -32,13 +33,17 @@ struct TrailSettings {
 ///
 /// A caller copies its note into a queue, and never waits for the disk. While the disk is full or broken the
 /// queue fills; what does not fit is counted, and the count becomes a record when the disk takes records
-/// again, at most once a second and at the end. The same holds for commands and refusals above `per_second`,
-/// so that nobody drives the other records out of the files by asking for much. Stops, rearms, log-ins,
+/// again, at most once a second and at the end. The same holds for commands and refusals above `shares`, so
+/// that nobody drives the records of others out of the trail by asking for much. Stops, rearms, log-ins,
 /// sessions and ownership are not limited.
 ///
+/// What waits is in memory that outlives a kill of the process (Slots), and the next life writes it. So
+/// kill -9 costs no note() that has returned; a restart of the machine costs what was not on the disk.
+///
 /// Life: the constructor notes that the program has started; the destructor writes what waits, if the disk
-/// takes it at once. Threads: any; one of its own. Failure: the constructor throws std::runtime_error for a
-/// folder that cannot be used; later failures are told to `report`, once each time, and once when it is over.
+/// takes it at once, and else leaves it to the next life. Threads: any; one of its own. Failure: the
+/// constructor throws std::runtime_error for a folder that cannot be used; later failures are told to
+/// `report`, once each time, and once when it is over.
 class Trail final : public AuditTrail {
   public:
     /// On the trail's thread, and on that of the constructor.
@@ -68,8 +73,7 @@ class Trail final : public AuditTrail {
     const Report report_;
     const SteadyClock steady_{};
     const Clock& clock_;
-    Ring ring_;
-    RateLimit limit_;
+    Shares shares_;
     std::atomic<std::uint64_t> lost_{0}, left_out_{0};
     /// How often its thread looks into the queue. A note does not wake it: that can cost more than a stop.
     static constexpr std::chrono::milliseconds kLook{10};
@@ -77,8 +81,10 @@ class Trail final : public AuditTrail {
 
     std::atomic<bool> ending_{false};
     WakeUp wake_up_;  // for the end only
-    // Of its thread only:
+    // Of its thread only, after the constructor; but the ring:
     Files files_;
+    Slots slots_;
+    Ring ring_;
     TimePoint losses_again_{}, sync_again_{};  // when they may be told, and the file synced, again
     bool failing_ = false;
     std::chrono::milliseconds pause_;

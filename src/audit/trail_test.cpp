@@ -10,6 +10,7 @@
 #include <csignal>
 #include <mutex>
 #include <system_error>
+#include <thread>
 
 #include "audit/testing.hpp"
 #include "support/loopback.hpp"
@@ -129,14 +130,50 @@ TEST_F(AuditTrailTest, TheEndOfTheProgramDoesNotWaitForAFullDisk) {
     full = true;
     {
         Trail trail(settings, "server", "", report(), disk());
-        trail.note({.kind = Kind::Stop});
+        trail.note({.kind = Kind::Stop, .what = "while the disk was full"});
         EXPECT_TRUE(waitUntil([&] { return tries > 0; }));
     }
-    EXPECT_THAT(reported(), Contains(HasSubstr("is lost")));
+    EXPECT_THAT(reported(), Contains(HasSubstr("waits for the next start")));
+    { const Trail trail(settings, "server", "again", report()); }
+    const auto all = folder.records();
+    ASSERT_THAT(all, SizeIs(2));
+    EXPECT_EQ(all[0].kind, "started");
+    EXPECT_THAT(all[0].what, HasSubstr("again; 1 record of the life before follows"));
+    EXPECT_EQ(all[1].what, "while the disk was full");
+    { const Trail trail(settings, "server", "", report()); }
+    EXPECT_THAT(folder.records(), SizeIs(3)) << "it is written twice";
+}
+
+TEST_F(AuditTrailTest, AKillCostsNoNoteThatWasMadeBefore) {
+    constexpr int kNotes = 500, kRounds = 5;
+    for (int round = 0; round < kRounds; ++round) {
+        const auto child = ::fork();
+        ASSERT_GE(child, 0);
+        if (child == 0) {
+            Trail trail(settings, "server", "", [](const std::string&) {});
+            // Some are in the file by then, and some wait for the thread, which looks every 10 ms.
+            for (int i = 0; i < kNotes; ++i) {
+                const auto what = std::to_string(round) + '/' + std::to_string(i);
+                trail.note({.kind = Kind::Stop, .what = what});
+                if (i % 100 == 0) std::this_thread::yield();
+            }
+            ::kill(::getpid(), SIGKILL);
+        }
+        int status = 0;
+        ::waitpid(child, &status, 0);
+        ASSERT_TRUE(WIFSIGNALED(status));
+    }
+    { const Trail trail(settings, "server", "", report()); }
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+    std::map<std::string, int> found;
+    for (const auto& record : folder.records())
+        if (record.kind == "stop") ++found[record.what];
+    EXPECT_THAT(found, SizeIs(kNotes * kRounds));
+    for (const auto& [what, times] : found) EXPECT_EQ(times, 1) << what;
 }
 
 TEST_F(AuditTrailTest, WhoAsksForMuchDrivesNoStopOutOfTheTrail) {
-    settings.per_second = 10;
+    settings.shares = {5, 10, 10};
     {
         Trail trail(settings, "server", "", report());
         for (int i = 0; i < 500; ++i) trail.note({.kind = i % 2 == 0 ? Kind::Command : Kind::Refusal});
@@ -155,7 +192,7 @@ TEST_F(AuditTrailTest, WhoAsksForMuchDrivesNoStopOutOfTheTrail) {
 }
 
 TEST_F(AuditTrailTest, AFloodIsToldOfOnceASecond) {
-    settings.per_second = 1;
+    settings.shares = {1, 1, 1};
     SharedClock clock;
     const auto lost = [this] {
         std::vector<std::string> all;
@@ -215,6 +252,7 @@ TEST_F(AuditTrailTest, TheDiskHasWhatWasWrittenWithinASecondAndAtTheEnd) {
 TEST_F(AuditTrailTest, TheFixFitsWhatIsWrong) {
     for (const auto& [failure, fix] : {std::pair{ENOSPC, "fix: make room"},
                                        {EDQUOT, "fix: make room"},
+                                       {EFBIG, "fix: raise the limit"},
                                        {EROFS, "fix: let this user write"},
                                        {EACCES, "fix: let this user write"}}) {
         error = failure;

@@ -16,8 +16,9 @@ class Communicator;
 }
 
 namespace axon::transport {
+class LinkTrust;
 class Logins;
-}
+}  // namespace axon::transport
 
 namespace axon::entity_server {
 
@@ -45,6 +46,9 @@ struct EntityServerSettings {
     std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::shared_ptr<Ice::Communicator> topic_signals;
+    /// Of one of several whose links to the others are under TLS. Outlives the communicators. Null: they are
+    /// plain.
+    transport::LinkTrust* links = nullptr;
     /// Looks after the connections of peers from activate() on. Needed; outlives the server.
     transport::ConnectionLimits* limits = nullptr;
 };

@@ -266,6 +266,10 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         {"FrontEndServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
         {"EntityServerTopic.Endpoints", endpoint(settings.topic_endpoint)},
         {"EntityServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
+        {"FrontEndServerTopic.PublishedEndpoints", published("FrontEndServerTopic")},
+        {"FrontEndServerTopicSignal.PublishedEndpoints", published("FrontEndServerTopicSignal")},
+        {"EntityServerTopic.PublishedEndpoints", published("EntityServerTopic")},
+        {"EntityServerTopicSignal.PublishedEndpoints", published("EntityServerTopicSignal")},
         {"Server.Console",
          [&](const auto& where, const auto& text) {
              settings.console.wanted = number(where, text, 0, 1) != 0;

@@ -9,7 +9,7 @@ namespace axon::users {
 inline constexpr std::size_t kPasswordMax = 511;  // CRYPT_MAX_PASSPHRASE_SIZE, without its zero
 
 /// What one new hash costs whoever verifies it: OWASP's parameters for Argon2id (2 passes over 19 MiB, one
-/// lane), about as long as yescrypt's (docs/adr/0044-users-at-run-time.md has the measurements).
+/// lane), about as long as yescrypt's (docs/adr/0043-users-at-run-time.md has the measurements).
 inline constexpr unsigned long long kPasses = 2;
 inline constexpr std::size_t kMemoryBytes = std::size_t{19} * 1024 * 1024;
 

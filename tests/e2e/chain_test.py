@@ -17,7 +17,7 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
 BIN = programs()
 
@@ -292,8 +292,8 @@ class ChainTest(unittest.TestCase):
                 except OSError:
                     return
                 listeners.append(connection)  # says nothing, for ever; closed with the listeners
-        low = 5600 + os.getpid() % 2000
-        self.lab.ports = f"{low}-{low + 9}"
+        low, high = robot_ports()
+        self.lab.ports = f"{low}-{high}"
         for port in (low, low + 1):
             listener = socket.socket()
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: MIT
-import pathlib
-import sys
+import os
 
 import pytest
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[3] / "tools"))
-from laboratory import robot_ports  # noqa: E402
 
 
 @pytest.fixture
 def ports():
-    """A range of ports of this process's own."""
-    return robot_ports()
+    """A range of ports of this process's own, among the 2500 for robot applications."""
+    first = 5500 + os.getpid() % 25 * 100
+    return first, first + 99
