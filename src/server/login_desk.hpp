@@ -58,6 +58,7 @@ class LoginDesk final : public transport::Logins {
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
     /// A process of the server's own uid, or root's. Asks the kernel.
     bool mayVouch(const std::string& peer, const std::string& local) override;
+    void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) override;
     void close();
 
   private:

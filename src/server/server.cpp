@@ -24,6 +24,7 @@
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/timer_thread.hpp"
 #include "transport/ice/tls.hpp"
+#include "transport/ice/tls_refusals.hpp"
 #include "transport/topics/storm_topics.hpp"
 
 namespace axon::server {
@@ -405,7 +406,9 @@ class Server::Parts {
         try {
             console.emplace(settings.console, settings.ice_properties, logins, !settings.users_file.empty(),
                             steady, random, note);
-            browser_limits.emplace(steady, note, browserBounds(settings.console));
+            browser_limits.emplace(
+                steady, [this](const std::string& line) { noteClosed(line); },
+                browserBounds(settings.console));
             browsers.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Data)));
             browser_signals.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Signal)));
             transport::DoorSettings door;
@@ -470,11 +473,31 @@ class Server::Parts {
         if (front_end) front_end->publishTo(entity_servers);
     }
 
+    /// What the bounds of strangers' connections have closed: into the log, and into the trail.
+    void noteClosed(const std::string& line) const {
+        note(line);
+        audit::orNone(trail.get())
+            .note({.kind = audit::Kind::Refusal,
+                   .what = line,
+                   .outcome = refusalName(RefusalCode::Overloaded)});
+    }
+    void noteHandshake(const std::string& peer, const std::string& why) const {
+        const auto what = "a TLS handshake: " + why;
+        trail->note({.kind = audit::Kind::Refusal,
+                     .peer = peer,
+                     .what = what,
+                     .outcome = refusalName(RefusalCode::PermissionDenied)});
+    }
+
     const std::unique_ptr<audit::Trail> trail;  // null: nothing is recorded. Outlives all that notes
+    const std::shared_ptr<void> handshakes =    // that are refused; of this process
+        trail ? transport::watchRefusedHandshakes(
+                    [this](const std::string& peer, const std::string& why) { noteHandshake(peer, why); })
+              : nullptr;
     const std::shared_ptr<const Clock> time = clockFromEnvironment();
     const Clock& clock = *time;
     const SteadyClock steady{};  // of what peers cost, also where the laboratory's time stands
-    transport::ConnectionLimits limits{steady, note};
+    transport::ConnectionLimits limits{steady, [this](const std::string& line) { noteClosed(line); }};
     std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;
     LoginDesk logins;

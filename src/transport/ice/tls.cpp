@@ -6,12 +6,16 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstdint>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <utility>
 
 #include "certificates/certificate.hpp"
 #include "certificates/folder.hpp"
 #include "common/rate_limit.hpp"
+#include "transport/ice/tls_refusals.hpp"
 
 namespace axon::transport {
 namespace {
@@ -98,6 +102,33 @@ std::string onOneLine(std::string text) {
     return text;
 }
 
+/// Of the process, as Ice's log is.
+class Watches {
+  public:
+    std::uint64_t add(RefusedHandshake told) {
+        const std::lock_guard lock(mutex_);
+        told_.emplace(++last_, std::move(told));
+        return last_;
+    }
+    void remove(std::uint64_t number) {
+        const std::lock_guard lock(mutex_);
+        told_.erase(number);
+    }
+    void tell(const std::string& peer, const std::string& why) {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [number, told] : told_) told(peer, why);
+    }
+
+  private:
+    std::mutex mutex_;
+    std::uint64_t last_ = 0;
+    std::map<std::uint64_t, RefusedHandshake> told_;
+};
+Watches& watches() {
+    static Watches its;
+    return its;
+}
+
 /// Ice's logger of a communicator that speaks TLS. Ice tells nobody but its traces why it has not accepted a
 /// connection; of these the one is passed on, at most ten in a second, as strangers cause it. Where the
 /// configuration asks for traces all are.
@@ -106,10 +137,13 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     explicit TlsLog(bool all) : all_(all) {}
     void print(const std::string& message) override { log()->info("{}", onOneLine(message)); }
     void trace(const std::string& category, const std::string& message) override {
-        if (message.rfind("failed to accept ssl connection", 0) == 0 && limit_.admit(clock_.now())) {
+        if (message.rfind("failed to accept ssl connection", 0) == 0) {
             const auto* means = meaningOf(message);
-            log()->warn("TLS: a connection from {} was refused: {} ({})", remoteOf(message),
-                        means != nullptr ? means : kWithoutReason, said(message));
+            const auto peer = remoteOf(message);
+            const std::string why = means != nullptr ? means : kWithoutReason;
+            watches().tell(peer, why);
+            if (limit_.admit(clock_.now()))
+                log()->warn("TLS: a connection from {} was refused: {} ({})", peer, why, said(message));
         } else if (all_) {
             log()->info("{}: {}", category, onOneLine(message));
         }
@@ -134,6 +168,10 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
 };
 
 }  // namespace
+
+std::shared_ptr<void> watchRefusedHandshakes(RefusedHandshake told) {
+    return {nullptr, [number = watches().add(std::move(told))](void*) { watches().remove(number); }};
+}
 
 std::optional<PeerCertificate> certificateOf(const Ice::Connection& connection) {
     const auto info = tlsOf(connection);
