@@ -83,7 +83,7 @@ if(AXON_ICE)
   # Tests of clients: the servers and Entity Managers as a library.
   set(testing_parts axon_audit axon_back_end axon_console axon_console_core axon_entity_manager axon_entity_manager_core axon_entity_server
     axon_entity_server_core
-    axon_front_end_server axon_front_end_server_core axon_global_services axon_server axon_users)
+    axon_front_end_server axon_front_end_server_core axon_global_services axon_server axon_access axon_users)
   add_dependencies(installed_programs axon_testing_client)
   set_target_properties(axon_testing_client PROPERTIES EXPORT_NAME testing_client)
   install(TARGETS axon_testing_client EXPORT AxonTestingClientTargets ARCHIVE COMPONENT libaxon-client-dev

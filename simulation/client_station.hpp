@@ -102,7 +102,7 @@ class ClientStation final : public client::ServerLink,
     void onOrphaned(const client::Held& held, const std::string& reason) override;
     void onResumed(const client::Held& held) override;
     void onHandOver(const client::Held& held, const client::HandOverRequest& request) override;
-    void onSample(const client::Sample&) override {}
+    void onSample(client::Sample) override {}
     void onTransferCredit(const Id128&, std::uint64_t, std::uint64_t) override {}
     void onServerText(int, const std::string&) override {}
 

@@ -42,7 +42,7 @@ def parse(arguments):
     up.add_argument("--entity-servers", type=int, metavar="M", help=f"entity servers, 1 to {SERVERS_MAX} (1)")
     up.add_argument("--base-port", type=int, metavar="P", help=f"first of 200 ports ({BASE_PORT}); 0 = a free range")
     up.add_argument("--listen", metavar="ADDRESS", help=f"address on which the two routers listen ({LOOPBACK}); everything else listens on loopback")
-    up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="clients and entities connect over TLS, with certificates")
+    up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="all connections use TLS, with certificates: those of clients and entities, and those between the programs")
     add("status", "Shows which programs run, with their ports and logs.").add_argument("--json", action="store_true")
     add("kill", "Kills a program with SIGKILL.").add_argument("name")
     add("restart", "Ends a program and starts it again.").add_argument("name")

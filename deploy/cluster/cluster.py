@@ -204,20 +204,29 @@ class Cluster:
             file = self.folder / name
             if file.exists() and digest(file.read_text(encoding="utf-8")) == generated[name]:
                 file.unlink()
-        self.remember("cluster.json", {"plan": fields, "generated": kept})
+        self.remember("cluster.json", {"plan": fields, "generated": kept,
+                                       "certificates": self.remembered("cluster.json").get("certificates", {})})
         if plan.tls:
             self.issue_certificates(plan)
         for user in unlisted:
             self.add_user(user, USERS[user], passwords[user])
 
     def issue_certificates(self, plan):
-        """Those that are not there yet, by a CA of the cluster's own."""
+        """Those that are not there yet, or not for all names, by a CA of the cluster's own."""
         folder = self.folder / "certs"
-        router = configuration.router_certificate(plan)
-        for stem, words in (("ca", ("init",)), (router, ("issue", "--router", plan.listen)),
-                            (f"client-{ADMIN}", ("issue", "--client", ADMIN)), (f"entity-{ENTITY}", ("issue", "--entity", ENTITY))):
-            if not (folder / f"{stem}.cert.pem").exists():
-                self.run_axon("certs", *words, "--folder", folder)
+        if not (folder / "ca.cert.pem").exists():
+            self.run_axon("certs", "init", "--folder", folder)
+        known = self.remembered("cluster.json")
+        issued = known.get("certificates", {})
+        for program, (kind, names) in configuration.certificates(plan).items():
+            stem = configuration.certificate_of(plan, program)
+            there = (folder / f"{stem}.cert.pem").exists()
+            # One of a person or of an entity has one name, and may have been replaced by hand.
+            if there and (issued.get(stem) == names or kind in ("client", "entity")):
+                continue
+            self.run_axon("certs", "issue", f"--{kind}", *names, "--folder", folder, *(["--force"] if there else []))
+            issued[stem] = names
+            self.remember("cluster.json", {**known, "certificates": issued})
 
     def run_axon(self, *words):
         env = {name: value for name, value in os.environ.items() if not name.startswith("AXON_")}  # who asks is no user of ours
@@ -279,7 +288,7 @@ class Cluster:
     def ready(self, plan, program, record):
         """Raises probe.NoAnswer with what is still missing."""
         if program.name == "icestorm":
-            probe.ping(*program.ports["topics"], "IceStorm/TopicManager")
+            probe.ping(*program.ports["topics"], "IceStorm/TopicManager", self.server_tls(plan))
         elif program.name.endswith("router"):
             host, port = next(iter(program.ports.values()))
             certificate = "client.cfg" if program.name == "client-router" else "entitygl2client.cfg"
@@ -294,7 +303,7 @@ class Cluster:
 
         def joined():
             for topic, servers in (("FrontEndToEntity", plan.entity_servers), ("EntityToFrontEnd", plan.front_ends)):
-                found = len(probe.subscribers(*at, f"{topic}-{probe.CONTRACT}"))
+                found = len(probe.subscribers(*at, f"{topic}-{probe.CONTRACT}", self.server_tls(plan)))
                 if found < servers:
                     raise probe.NoAnswer(f"{found} of {servers} servers listen to {topic}")
         self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs[:-2]])
@@ -314,6 +323,10 @@ class Cluster:
         self.progress.show("axon ls")
         self.run_axon("--config", self.folder / "client.cfg", "ls")
         self.progress.show()
+
+    def server_tls(self, plan):
+        """What a server shows to IceStorm, which answers nobody else."""
+        return self.tls(plan, "frontendserver-1.cfg")
 
     def tls(self, plan, file="client.cfg"):
         """What a connection needs of the certificates that `file` names; None for plain TCP."""

@@ -93,17 +93,36 @@ class Configuration(unittest.TestCase):
             if name not in ("client.cfg", "entitygl2client.cfg"):
                 self.assertNotIn("secret", text, name)
 
-    def test_with_tls_only_the_routers_ports_to_the_world_change_and_everybody_has_a_certificate(self):
-        files = configuration.files(Plan(pathlib.Path("/folder"), tls=True), PASSWORDS)
-        for file, certificate in (("glacier2clients.cfg", "router-127.0.0.1"), ("glacier2entities.cfg", "router-127.0.0.1"),
-                                  ("client.cfg", "client-admin"), ("entitygl2client.cfg", "entity-entity")):
+    def test_with_tls_every_link_is_under_tls_and_every_program_has_a_certificate_of_its_own(self):
+        plan = Plan(pathlib.Path("/folder"), tls=True, listen="192.0.2.7")
+        files = configuration.files(plan, PASSWORDS)
+        for file, certificate in (("glacier2clients.cfg", "router-192.0.2.7"), ("glacier2entities.cfg", "router-192.0.2.7"),
+                                  ("client.cfg", "client-admin"), ("entitygl2client.cfg", "entity-entity"),
+                                  ("icestorm.cfg", "storm-127.0.0.1"), ("frontendserver-1.cfg", "front-end-fe1"),
+                                  ("entityserver-1.cfg", "entity-server-es1")):
             text = files.pop(file)
-            self.assertEqual(text.count("ssl -h"), 1, file)
+            self.assertIn("ssl -h", text, file)
+            for line in properties(text):
+                self.assertNotIn("tcp -h", line[1], file)
             self.assertEqual(configuration.read_property(text, "IceSSL.CertFile"), f"{certificate}.cert.pem")
             self.assertEqual(configuration.read_property(text, "IceSSL.VerifyPeer"), "2")
             self.assertEqual(configuration.read_property(text, "IceSSL.CheckCertName"), "1")
-        for name, text in files.items():
-            self.assertNotIn("ssl -h", text, name)
+        self.assertEqual(list(files), ["icebox.cfg"], "which has no connections")
+
+    def test_with_tls_only_servers_come_to_icestorm_and_only_its_servers_to_a_router(self):
+        files = configuration.files(Plan(pathlib.Path("/folder"), tls=True), PASSWORDS)
+        both = "OU=front-end,O=Axon;OU=entity-server,O=Axon"
+        for file, key, expected in (
+                ("icestorm.cfg", "IceSSL.TrustOnly.Server", both), ("icestorm.cfg", "IceSSL.TrustOnly.Client", both),
+                ("glacier2clients.cfg", "IceSSL.TrustOnly.Server.Glacier2.Server", "OU=front-end,O=Axon"),
+                ("glacier2clients.cfg", "IceSSL.TrustOnly.Client", "OU=front-end,O=Axon"),
+                ("glacier2entities.cfg", "IceSSL.TrustOnly.Client", "OU=entity-server,O=Axon")):
+            self.assertEqual(configuration.read_property(files[file], key), expected, file)
+
+    def test_a_router_is_called_by_its_public_address_and_on_loopback(self):
+        for listen, names in (("127.0.0.1", ["127.0.0.1"]), ("192.0.2.7", ["192.0.2.7", "127.0.0.1"])):
+            plan = Plan(pathlib.Path("/folder"), tls=True, listen=listen)
+            self.assertEqual(configuration.certificates(plan)["client-router"], ("router", names))
 
     def test_wishes_that_cannot_be_are_refused_with_the_mend(self):
         for wish, said in (({"front_ends": 0}, "--front-ends 0"), ({"entity_servers": 10}, "1 to 9"),
@@ -185,6 +204,25 @@ class Folder(unittest.TestCase):
         self.assertEqual(code, 1, said)
         self.assertIn("icestorm has ended", said)
         self.assertIn("the moon is full", said)
+
+    def test_certificates_are_issued_once_and_again_where_the_names_change(self):
+        self.script("axon", 'echo "$@" >> "$0.said"; case $2 in init) mkdir -p "$4"; touch "$4/ca.cert.pem";; esac')
+        self.cluster.prepare({"base_port": 0, "tls": True})
+        said = (self.root / "axon.said").read_text()
+        certs = self.folder / "certs"
+        self.assertIn(f"certs issue --front-end fe1 127.0.0.1 --folder {certs}", said)
+        self.assertIn(f"certs issue --storm 127.0.0.1 --folder {certs}", said)
+        for name in ("front-end-fe1", "entity-server-es1", "storm-127.0.0.1", "router-127.0.0.1", "client-admin", "entity-entity"):
+            (certs / f"{name}.cert.pem").touch()
+        (self.root / "axon.said").unlink()
+        self.cluster.prepare({})
+        self.assertFalse((self.root / "axon.said").exists(), "all are there")
+        known = self.cluster.remembered("cluster.json")
+        known["certificates"]["router-127.0.0.1"] = ["192.0.2.7"]
+        self.cluster.remember("cluster.json", known)
+        self.cluster.prepare({})
+        said = (self.root / "axon.said").read_text().splitlines()
+        self.assertEqual(said, [f"certs issue --router 127.0.0.1 --folder {certs} --force"])
 
     def test_a_port_that_is_taken_is_named_with_the_mend(self):
         self.cluster.prepare({"base_port": 0})

@@ -26,7 +26,7 @@ class Plan:
     entity_servers: int = 1
     base_port: int = BASE_PORT
     listen: str = LOOPBACK  # where the two routers listen; everything else is on loopback
-    tls: bool | None = None  # None = no, and nobody has said that it may be so beyond this machine
+    tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
@@ -97,13 +97,17 @@ def programs(plan):
 SERVER_PORTS = ("data", "signal", "router", "topics", "servers")
 
 
-def tcp(plan, program, which):
-    return f"tcp -h {LOOPBACK} -p {plan.port(program, which)}"
+def protocol(plan):
+    return "ssl" if plan.tls else "tcp"
+
+
+def inner(plan, program, which):
+    return f"{protocol(plan)} -h {LOOPBACK} -p {plan.port(program, which)}"
 
 
 def public(plan, program, which):
     """The endpoint of a router that the world sees."""
-    return f"{'ssl' if plan.tls else 'tcp'} -h {plan.listen} -p {plan.port(program, which)}"
+    return f"{protocol(plan)} -h {plan.listen} -p {plan.port(program, which)}"
 
 
 def files(plan, passwords):
@@ -140,9 +144,9 @@ IceStorm.InstanceName=IceStorm
 # Nothing is kept on disk; after a restart the servers create topics and subscriptions again, within two seconds:
 IceStorm.Transient=1
 # Where the servers find the topics (their Server.TopicManager); nobody else has to reach this:
-IceStorm.TopicManager.Endpoints={tcp(plan, "icestorm", "topics")}
+IceStorm.TopicManager.Endpoints={inner(plan, "icestorm", "topics")}
 # Where they publish:
-IceStorm.Publish.Endpoints={tcp(plan, "icestorm", "publish")}
+IceStorm.Publish.Endpoints={inner(plan, "icestorm", "publish")}
 # Several threads, which keep the messages of each publisher in order. IceBox warns that it does not know Serialize, but
 # IceStorm obeys it.
 IceStorm.Publish.ThreadPool.Size=4
@@ -154,7 +158,7 @@ IceStorm.Send.QueueSizeMaxPolicy=DropEvents
 IceStorm.Discard.Interval=1
 # As in every process of Axon, in KiB:
 Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
-"""
+{storm_tls(plan) if plan.tls else ""}"""
 
 
 MESSAGE_SIZE_MAX = 4096  # src/transport/ice/communicator.hpp
@@ -162,7 +166,7 @@ MESSAGE_SIZE_MAX = 4096  # src/transport/ice/communicator.hpp
 
 def glacier2(plan, name, instance, whom, servers):
     def proxies(identity):
-        return f"{identity}:" + ":".join(tcp(plan, server_name, "router") for server_name in servers)
+        return f"{identity}:" + ":".join(inner(plan, server_name, "router") for server_name in servers)
     server_kind = "front-end" if whom == "clients" else "entity"
     return f"""\
 # Glacier2, the router to which {whom} connect:  glacier2router --Ice.Config=THIS FILE
@@ -171,14 +175,14 @@ Glacier2.InstanceName={instance}
 # Where {whom} connect. The only port of this file that a firewall has to let in:
 Glacier2.Client.Endpoints={public(plan, name, whom)}
 # Where the {server_kind} servers send messages for {whom}; internal:
-Glacier2.Server.Endpoints={tcp(plan, name, "callbacks")}
+Glacier2.Server.Endpoints={inner(plan, name, "callbacks")}
 # The {server_kind} servers, which verify passwords and make sessions; one that is running is chosen:
 Glacier2.PermissionsVerifier={proxies("PermissionsVerifier")}
 Glacier2.SessionManager={proxies("SessionManager")}
 # Choose another server each time, so that the sessions are spread over them:
 Glacier2.PermissionsVerifier.ConnectionCached=0
 Glacier2.SessionManager.ConnectionCached=0
-{router_tls(plan, proxies) if plan.tls else ""}# A client of the router can call its own session and nothing else:
+{router_tls(plan, proxies, name) if plan.tls else ""}# A client of the router can call its own session and nothing else:
 Glacier2.Filter.Identity.Accept={instance}/none
 # Seconds of silence after which a session ends. The servers' watchdogs are much faster:
 Glacier2.SessionTimeout=2
@@ -214,28 +218,29 @@ Ice.Admin.Enabled=0
 def server(plan, name, adapter, neighbours):
     front_end = adapter == "FrontEndServer"
     whom = "clients" if front_end else "entities"
-    peers = "".join(f"Server.Peer.{peer}=SessionManager:{tcp(plan, peer, 'router')}\n"
+    peers = "".join(f"Server.Peer.{peer}=SessionManager:{inner(plan, peer, 'router')}\n"
                     for peer in neighbours if peer != name)
     return f"""\
 # {'A front-end' if front_end else 'An entity'} server:  axon-server --role {'front-end' if front_end else 'entity'} --config THIS FILE
 # The name of this server; the tokens of its sessions begin with it:
 Server.Name={name}
 # Where {whom} connect without a router: data and signal lane.
-{adapter}.Endpoints={tcp(plan, name, "data")}
-{adapter}Signal.Endpoints={tcp(plan, name, "signal")}
+{adapter}.Endpoints={inner(plan, name, "data")}
+{adapter}Signal.Endpoints={inner(plan, name, "signal")}
 # Where the router for {whom} connects; nobody else may:
-{adapter}Router.Endpoints={tcp(plan, name, "router")}
-# Where IceStorm delivers what the other servers publish, and where they send signals directly. Loopback only, because
-# servers believe each other without a password.
-{adapter}Topic.Endpoints={tcp(plan, name, "topics")}
-{adapter}TopicSignal.Endpoints={tcp(plan, name, "servers")}
+{adapter}Router.Endpoints={inner(plan, name, "router")}
+# Where IceStorm delivers what the other servers publish, and where they send signals directly. Servers believe each other
+# without a password: {"both sides show the certificate of a server" if plan.tls else "without TLS, loopback only"}.
+{adapter}Topic.Endpoints={inner(plan, name, "topics")}
+{adapter}TopicSignal.Endpoints={inner(plan, name, "servers")}
 # The topic manager of IceStorm:
-Server.TopicManager=IceStorm/TopicManager:{tcp(plan, "icestorm", "topics")}
+Server.TopicManager=IceStorm/TopicManager:{inner(plan, "icestorm", "topics")}
 # Who may log in:
 Server.Users={plan.folder}/users.cfg
 """ + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
        f"Server.GlobalServices={plan.folder}/globalservices\n" if front_end else "") + (
-        f"# The other servers of its kind, to which requests for their sessions are passed on:\n{peers}" if peers else "")
+        f"# The other servers of its kind, to which requests for their sessions are passed on:\n{peers}" if peers else "") + (
+        tls(plan, certificate_of(plan, name)) if plan.tls else "")
 
 
 def client(plan, password):
@@ -246,7 +251,7 @@ Ice.Default.Router=Axon.Clients/router:{public(plan, "client-router", "clients")
 # The user who logs in; without Axon.Password the command asks for it:
 Axon.User={ADMIN}
 Axon.Password={password}
-{tls(plan, f"client-{ADMIN}") if plan.tls else ""}"""
+{tls(plan, certificate_of(plan, "client")) if plan.tls else ""}"""
 
 
 def entity_manager(plan, password):
@@ -256,21 +261,50 @@ def entity_manager(plan, password):
 Ice.Default.Router=Axon.Entities/router:{public(plan, "entity-router", "entities")}
 Axon.User={ENTITY}
 Axon.Password={password}
-{tls(plan, f"entity-{ENTITY}") if plan.tls else ""}"""
+{tls(plan, certificate_of(plan, "entity")) if plan.tls else ""}"""
 
 
-def router_tls(plan, proxies):
+def only(*kinds):
+    """Of IceSSL.TrustOnly: certificates of these kinds."""
+    return ";".join(f"OU={kind},O=Axon" for kind in kinds)
+
+
+def storm_tls(plan):
+    servers = only("front-end", "entity-server")
+    return f"""\
+{tls(plan, certificate_of(plan, "icestorm"))}# Only servers may publish and subscribe, and only to servers anything is delivered:
+IceSSL.TrustOnly.Server={servers}
+IceSSL.TrustOnly.Client={servers}
+"""
+
+
+def router_tls(plan, proxies, name):
+    servers = only("front-end" if name == "client-router" else "entity-server")
     return f"""\
 # Who shows a certificate and gives no user is who the certificate says:
 Glacier2.SSLPermissionsVerifier={proxies("SSLPermissionsVerifier")}
 Glacier2.SSLSessionManager={proxies("SSLSessionManager")}
 Glacier2.SSLPermissionsVerifier.ConnectionCached=0
 Glacier2.SSLSessionManager.ConnectionCached=0
-{tls(plan, router_certificate(plan))}"""
+{tls(plan, certificate_of(plan, name))}# The servers of this router, and nobody else, are called, and may send messages for its {"clients" if name == "client-router" else "entities"}:
+IceSSL.TrustOnly.Client={servers}
+IceSSL.TrustOnly.Server.Glacier2.Server={servers}
+"""
 
 
-def router_certificate(plan):
-    return f"router-{plan.listen}"
+def certificates(plan):
+    """{program: (kind, names)} as axon certs issue takes them. Servers, IceStorm and routers call each other on loopback."""
+    routers = [plan.listen] + [LOOPBACK] * (plan.listen != LOOPBACK)
+    return {"icestorm": ("storm", [LOOPBACK]), "entity-router": ("router", routers), "client-router": ("router", routers),
+            **{name: ("entity-server", [name, LOOPBACK]) for name in plan.entity_server_names()},
+            **{name: ("front-end", [name, LOOPBACK]) for name in plan.front_end_names()},
+            "client": ("client", [ADMIN]), "entity": ("entity", [ENTITY])}
+
+
+def certificate_of(plan, program):
+    """What its files in the folder certs begin with."""
+    kind, names = certificates(plan)[program]
+    return f"{kind}-{names[0]}"
 
 
 def tls(plan, certificate):

@@ -113,9 +113,9 @@ def ping(host, port, identity, tls=None):
         connection.call(identity, "ice_ping")
 
 
-def subscribers(host, port, topic):
+def subscribers(host, port, topic, tls=None):
     """The identities that IceStorm brings a topic to."""
-    with Connection(host, port) as connection:
+    with Connection(host, port, tls) as connection:
         answer = connection.call(f"IceStorm/topic.{topic}", "getSubscribers")
     count, at, found = answer[6], 7, []
     if count == 255:

@@ -156,7 +156,6 @@ def sleeps(child):
     "[event for event in lab.events()]",
     "lab.drill('PeopleBot', count=600, period=0.1)",
     "axon.connect(sys.argv[1], name='other').checkout('PeopleBot', wait=60)",
-    "[robot.send_raw(b'x' * 1_000_000, wait=60) for _ in iter(int, 1)]",
 ])
 def test_a_keyboard_interrupt_ends_every_wait(laboratory, robot, wait):
     child = program(laboratory, WAITS.format(wait=wait))
@@ -167,6 +166,37 @@ def test_a_keyboard_interrupt_ends_every_wait(laboratory, robot, wait):
     assert time.monotonic() - begin < 2
     ends(child)
     robot.do("expect_stop")
+
+
+def interrupt_while_servers_are_paused(laboratory, child):
+    """The program goes on after a line, until it waits for what only the servers could give."""
+    laboratory.child.send_signal(signal.SIGSTOP)
+    try:
+        wait_until(lambda: state(laboratory.child) == "T", "the servers are paused")
+        child.stdin.write("\n")
+        child.stdin.flush()
+        sleeps(child)
+        child.send_signal(signal.SIGINT)
+        assert child.stdout.readline() == "interrupted\n", child.stderr.read()
+    finally:
+        laboratory.child.send_signal(signal.SIGCONT)
+
+
+def test_a_keyboard_interrupt_ends_the_wait_for_room(laboratory, robot):
+    child = program(laboratory, """
+        task.cancel()
+        for _ in task:  # while it runs, silent servers are soon given up
+            pass
+        try:
+            print("ready", flush=True)
+            sys.stdin.readline()
+            while True:
+                robot.send_raw(b"x" * 1_000_000, wait=60)
+        except KeyboardInterrupt:
+            print("interrupted", flush=True)
+        """)
+    interrupt_while_servers_are_paused(laboratory, child)
+    ends(child)
 
 
 def test_an_interrupted_run_cancels_its_task(laboratory, robot, client):
@@ -298,16 +328,7 @@ def test_what_is_granted_after_an_interrupt_is_given_back(laboratory, robot, cli
         """)
     other = client()
     other.wait_for("PeopleBot", 5)
-    laboratory.child.send_signal(signal.SIGSTOP)
-    try:
-        wait_until(lambda: state(laboratory.child) == "T", "the servers are paused")
-        child.stdin.write("\n")
-        child.stdin.flush()
-        sleeps(child)
-        child.send_signal(signal.SIGINT)
-        assert child.stdout.readline() == "interrupted\n", child.stderr.read()
-    finally:
-        laboratory.child.send_signal(signal.SIGCONT)
+    interrupt_while_servers_are_paused(laboratory, child)
 
     def taken():
         try:

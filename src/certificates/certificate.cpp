@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "certificates/x509.hpp"
+#include "common/routed.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::certificates {
@@ -249,6 +250,12 @@ const char* toString(Kind kind) {
     switch (kind) {
         case Kind::Server:
             return "server";
+        case Kind::FrontEnd:
+            return "front-end";
+        case Kind::EntityServer:
+            return "entity-server";
+        case Kind::Storm:
+            return "storm";
         case Kind::Router:
             return "router";
         case Kind::Entity:
@@ -260,14 +267,32 @@ const char* toString(Kind kind) {
 }
 
 std::optional<Kind> kindOf(std::string_view unit) {
-    for (const auto kind : {Kind::Server, Kind::Router, Kind::Entity, Kind::Client})
+    for (const auto kind : kKinds)
         if (unit == toString(kind)) return kind;
     return std::nullopt;
 }
 
+bool isCalled(Kind kind) {
+    return kind != Kind::Entity && kind != Kind::Client;
+}
+
+bool isNamedServer(Kind kind) {
+    return kind == Kind::FrontEnd || kind == Kind::EntityServer;
+}
+
+namespace {
+
+/// Of these names, those by which it is called.
+std::vector<std::string> hostsOf(const Request& request) {
+    if (!isCalled(request.kind)) return {};
+    return {request.names.begin() + (isNamedServer(request.kind) ? 1 : 0), request.names.end()};
+}
+
+}  // namespace
+
 void check(const Request& request) {
     const auto its = std::string(toString(request.kind));
-    const auto usage = "axon certs issue --" + its + " NAME";
+    const auto usage = "axon certs issue --" + its + (isNamedServer(request.kind) ? " NAME HOST" : " NAME");
     if (request.names.empty() || request.names.front().empty())
         throw Unusable("expected the name of the " + its, usage);
     const auto& name = request.names.front();
@@ -279,13 +304,23 @@ void check(const Request& request) {
                            " bytes, which is what a certificate can hold",
                        request.kind == Kind::Entity ? "give the entity a shorter name in its basic profile"
                                                     : "choose a shorter name");
-    if (request.kind == Kind::Server || request.kind == Kind::Router) {
+    if (isCalled(request.kind)) {
         if (request.names.size() > kNamesMax)
             throw Unusable("expected at most " + std::to_string(kNamesMax) + " names", "issue a second one");
-        for (const auto& one : request.names) {
+        if (isNamedServer(request.kind) && !isServerName(name))
+            throw Unusable(quoted(name) +
+                               ": expected the Server.Name of that server, which has 1 to 32 "
+                               "letters, digits, '-' and '_', such as fe1",
+                           usage);
+        const auto hosts = hostsOf(request);
+        if (hosts.empty())
+            throw Unusable("expected the names and addresses by which " + quoted(name) +
+                               " is called after its name: whoever calls checks that it has reached one",
+                           usage + "…, such as " + its + ".lab.example or 192.168.0.5");
+        for (const auto& one : hosts) {
             if (!isDnsName(one) && !isAddress(one))
                 throw Unusable(quoted(one) + ": expected a DNS name or an IP address, as " + its +
-                                   ".lab.example or 192.168.0.5: clients check that they have reached it",
+                                   ".lab.example or 192.168.0.5: whoever calls checks that it has reached it",
                                usage + " ADDRESS");
         }
         return;
@@ -344,10 +379,10 @@ Issued issue(const Issued& authority, const Request& request, WallTime now) {
     require(gnutls_x509_crt_set_basic_constraints(it.get(), 0, -1), "the constraints of a certificate");
     require(gnutls_x509_crt_set_key_usage(it.get(), GNUTLS_KEY_DIGITAL_SIGNATURE), "the use of a key");
     require(gnutls_x509_crt_set_key_purpose_oid(it.get(), GNUTLS_KP_TLS_WWW_CLIENT, 0), "the use of a key");
-    if (request.kind == Kind::Server || request.kind == Kind::Router) {
+    if (isCalled(request.kind)) {
         require(gnutls_x509_crt_set_key_purpose_oid(it.get(), GNUTLS_KP_TLS_WWW_SERVER, 0),
                 "the use of a key");
-        for (const auto& name : request.names) {
+        for (const auto& name : hostsOf(request)) {
             std::string address;
             const bool is_address = isAddress(name, &address);
             const auto& content = is_address ? address : name;

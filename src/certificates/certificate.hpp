@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
 #include <chrono>
 #include <optional>
 #include <stdexcept>
@@ -15,11 +16,23 @@ namespace axon::certificates {
 /// Certificates know wall-clock time only.
 using WallTime = std::chrono::sys_seconds;
 
-/// What a certificate is for: its OU. A server's and a router's may be used on both sides of a connection, as
-/// they call each other; an entity's and a client's on the calling side only.
-enum class Kind { Server, Router, Entity, Client };
+/// What a certificate is for: its OU. An entity's and a client's may be used on the calling side of a
+/// connection only, the others on both sides, as servers and routers call each other.
+///
+///     Server       axon-server, for clients, Entity Managers and routers
+///     FrontEnd     one of several front-end servers: the same, and for other servers and IceStorm
+///     EntityServer one of several entity servers, likewise
+///     Storm        icebox with IceStorm
+enum class Kind { Server, FrontEnd, EntityServer, Storm, Router, Entity, Client };
+inline constexpr std::array<Kind, 7> kKinds{Kind::Server, Kind::FrontEnd, Kind::EntityServer, Kind::Storm,
+                                            Kind::Router, Kind::Entity,   Kind::Client};
+/// The OU, which is also the option of axon certs.
 const char* toString(Kind kind);
 std::optional<Kind> kindOf(std::string_view unit);
+/// Whether it may be used on the side of a connection that is called.
+bool isCalled(Kind kind);
+/// Whether its name is that of one of several servers (Server.Name), and its hosts follow.
+bool isNamedServer(Kind kind);
 
 /// What was asked for, or a file, cannot be used. what() says what was expected, fix() how to get there.
 class Unusable : public std::runtime_error {
@@ -39,8 +52,9 @@ struct Issued {
 
 struct Request {
     Kind kind = Kind::Client;
-    /// The first is the subject (CN): the name of the entity, the user name of the client. A server and a
-    /// router are checked against all of them, which are DNS names and IP addresses.
+    /// The first is the subject (CN): the name of the entity, the user name of the client, the Server.Name
+    /// of one of several servers, whose hosts follow. A host is a DNS name or an IP address; those of a
+    /// server, a router and IceStorm are all of these names. Whoever calls checks that it has reached one.
     std::vector<std::string> names;
     std::chrono::days valid{365};
 };

@@ -72,6 +72,30 @@ TEST_F(Certificates, ClientsAndEntitiesHaveOneNameAndTheirKind) {
     EXPECT_EQ(issued({Kind::Router, {"127.0.0.1"}}).unit, "router");
 }
 
+TEST_F(Certificates, OneOfSeveralServersHasItsNameAndItsHosts) {
+    for (const auto kind : {Kind::FrontEnd, Kind::EntityServer}) {
+        const auto it = issued({kind, {"fe_1", "lab.example", "192.168.0.5"}});
+        EXPECT_EQ(it.name, "fe_1");
+        EXPECT_EQ(it.unit, toString(kind));
+        EXPECT_THAT(it.names, ElementsAre("lab.example", "192.168.0.5")) << "its name is no host";
+        EXPECT_THAT(refused({kind, {"fe1"}}), HasSubstr("by which 'fe1' is called"));
+        EXPECT_THAT(refused({kind, {"fe 1", "lab"}}), HasSubstr("Server.Name"));
+        EXPECT_THAT(refused({kind, {"lab.example", "lab"}}), HasSubstr("Server.Name"));
+        EXPECT_THAT(refused({kind, {"fe1", "not a host"}}), HasSubstr("DNS name or an IP address"));
+        EXPECT_THAT(refused({kind, {}}), HasSubstr("expected the name"));
+    }
+    EXPECT_THAT(issued({Kind::Storm, {"lab.example", "127.0.0.1"}}).names,
+                ElementsAre("lab.example", "127.0.0.1"));
+}
+
+TEST_F(Certificates, EveryKindIsReadBackFromItsUnit) {
+    for (const auto kind : kKinds) EXPECT_EQ(kindOf(toString(kind)), kind);
+    EXPECT_FALSE(kindOf("registry"));
+    EXPECT_FALSE(isCalled(Kind::Client));
+    EXPECT_FALSE(isCalled(Kind::Entity));
+    EXPECT_TRUE(isCalled(Kind::Storm));
+}
+
 TEST_F(Certificates, RefuseNamesThatNobodyCouldCheck) {
     for (const auto* name : {"lab example", "-lab", "lab-", "lab..example", ".lab", "lab.", "1.2.3",
                              "1.2.3.256", "lab_1", "*.lab", "lab\n", "Ünï"})

@@ -224,6 +224,43 @@ std::string configuration(const Request& request, const std::string& stem, const
                    "#EntityServerSignal.Endpoints=ssl -h 0.0.0.0 -p 10413\n"
                    "#Server.Users=users.cfg\n";
             break;
+        case Kind::FrontEnd:
+            text = "# The certificate of the front-end server " + name +
+                   ": axon-server --role front-end --config FILE --config …\n"
+                   "# It is for clients, routers, the other servers and IceStorm.\n"
+                   "#Server.Name=" +
+                   name +
+                   "\n"
+                   "#Server.TopicManager=IceStorm/TopicManager:ssl -h HOST -p 10430\n"
+                   "#FrontEndServer.Endpoints=ssl -h 0.0.0.0 -p 10410\n"
+                   "#FrontEndServerSignal.Endpoints=ssl -h 0.0.0.0 -p 10411\n"
+                   "#FrontEndServerTopic.Endpoints=ssl -h HOST -p 10425\n"
+                   "#FrontEndServerTopicSignal.Endpoints=ssl -h HOST -p 10426\n"
+                   "#Server.Users=users.cfg\n";
+            break;
+        case Kind::EntityServer:
+            text = "# The certificate of the entity server " + name +
+                   ": axon-server --role entity --config FILE --config …\n"
+                   "# It is for Entity Managers, routers, the other servers and IceStorm.\n"
+                   "#Server.Name=" +
+                   name +
+                   "\n"
+                   "#Server.TopicManager=IceStorm/TopicManager:ssl -h HOST -p 10430\n"
+                   "#EntityServer.Endpoints=ssl -h 0.0.0.0 -p 10412\n"
+                   "#EntityServerSignal.Endpoints=ssl -h 0.0.0.0 -p 10413\n"
+                   "#EntityServerTopic.Endpoints=ssl -h HOST -p 10427\n"
+                   "#EntityServerTopicSignal.Endpoints=ssl -h HOST -p 10428\n"
+                   "#Server.Users=users.cfg\n";
+            break;
+        case Kind::Storm:
+            text = "# The certificate of IceStorm " + name +
+                   ": in the file of the service that icebox loads (icestorm.cfg).\n"
+                   "#IceStorm.TopicManager.Endpoints=ssl -h HOST -p 10430\n"
+                   "#IceStorm.Publish.Endpoints=ssl -h HOST -p 10431\n"
+                   "# Only servers may publish and subscribe, and only to servers anything is delivered:\n"
+                   "IceSSL.TrustOnly.Server=OU=front-end,O=Axon;OU=entity-server,O=Axon\n"
+                   "IceSSL.TrustOnly.Client=OU=front-end,O=Axon;OU=entity-server,O=Axon\n";
+            break;
         case Kind::Router:
             text = "# The certificate of the router " + name + ": glacier2router --Ice.Config=FILE,…\n";
             break;

@@ -80,6 +80,16 @@ TEST_F(CertificateFolder, IssuesCertificateKeyAndConfiguration) {
                             folder.path() / "server-lab.cert.pem"));
 }
 
+TEST_F(CertificateFolder, TheFileOfIceStormAdmitsServersOnly) {
+    folder.init(kNow, false);
+    const auto storm = folder.issue({Kind::Storm, {"lab"}}, kNow, false);
+    EXPECT_THAT(contentOf(storm.files.back()),
+                HasSubstr("IceSSL.TrustOnly.Server=OU=front-end,O=Axon;OU=entity-server,O=Axon\n"));
+    const auto server = folder.issue({Kind::EntityServer, {"es1", "lab"}}, kNow, false);
+    EXPECT_EQ(server.files.back().filename(), "entity-server-es1.cfg");
+    EXPECT_THAT(contentOf(server.files.back()), HasSubstr("#Server.Name=es1\n"));
+}
+
 TEST_F(CertificateFolder, OverwritesNothingUnlessItIsForced) {
     folder.init(kNow, false);
     const auto authority = contentOf(folder.path() / "ca.key.pem");

@@ -414,7 +414,8 @@ Parsed parseCommandLine(std::vector<std::string> words,
     }
     if (line.verb->prepare != nullptr) {
         if (const auto wrong = line.verb->prepare(line.args); !wrong.empty()) {
-            parsed.err = "axon: " + wrong + "\nfix: " + synopsisOf(*line.verb) + "\n";
+            const auto [message, fix] = parted(wrong);
+            parsed.err = "axon: " + message + "\nfix: " + (fix.empty() ? synopsisOf(*line.verb) : fix) + "\n";
             parsed.exit = kUsage;
             return parsed;
         }

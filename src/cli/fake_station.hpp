@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <axon/stream.pb.h>
+#include <google/protobuf/util/json_util.h>
+
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
@@ -299,7 +302,11 @@ class FakeStation : public Station {
         watched = streams;
         if (!streams.empty() && std::find(streams.begin(), streams.end(), stream) == streams.end())
             return std::shared_ptr<void>();
-        for (const auto& one : samples) sample({id, stream, one.first, one.second, {}});
+        for (const auto& [sequence, text] : samples) {
+            proto::StreamSample content;
+            const auto read = google::protobuf::util::JsonStringToMessage(text, &content);
+            sample({id, stream, sequence, read.ok() ? content.SerializeAsString() : text});
+        }
         return std::shared_ptr<void>();
     }
     Result<GlobalServices> globalServices() const override {
@@ -422,7 +429,7 @@ class FakeStation : public Station {
     std::vector<KeptTask> others;  ///< before the one of run()
     std::size_t forgotten_tasks = 0;
     std::function<void()> on_follow;
-    std::vector<std::pair<std::uint64_t, std::string>> samples;
+    std::vector<std::pair<std::uint64_t, std::string>> samples;  // sequence, and JSON or what is no sample
     Refusal check_out_refusal;
     Role my_role = Role::Operator;
     std::string lost_id, direct_id, says;

@@ -16,7 +16,7 @@ constexpr std::chrono::milliseconds kListen{250};
 class Streams {
   public:
     void heard(const Sample& sample) {
-        const auto content = Json::parse(sample.json, nullptr, false);
+        const auto content = Json::parse(sample.json(), nullptr, false);
         std::string kind;
         if (content.is_object()) {
             for (const auto& [name, value] : content.items())

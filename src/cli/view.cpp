@@ -208,6 +208,8 @@ void PersonView::show(const Json& event) {
     if (kind == "finding") return showFinding(event);
     if (kind == "certificates") return showCertificates(event.at("certificates"));
     if (kind == "issued") return showIssued(event);
+    if (kind == "users") return showUsers(event);
+    if (kind == "user_changed") return showUserChanged(event);
     if (kind == "audit_record") return showAuditRecord(event);
     if (kind == "audit_trail") return showAuditTrail(event);
     if (kind == "agent") return showAgent(event);
@@ -481,6 +483,37 @@ void PersonView::showCertificates(const Json& list) {
     auto text = table.text(terminal_.colour);
     text.pop_back();
     say(text);
+}
+
+void PersonView::showUsers(const Json& event) {
+    const auto& list = event.at("users");
+    if (list.empty()) return say("there are no users in " + textOf(event, "file"));
+    Table table({"NAME", "ROLE", "PASSWORD HASH"});
+    for (const auto& one : list) {
+        const auto hash = textOf(one, "hash");
+        table.add({{textOf(one, "name"), Tint::Bold},
+                   {textOf(one, "role")},
+                   {hash, hash == "argon2id" ? Tint::None : Tint::Yellow}});
+    }
+    auto text = table.text(terminal_.colour);
+    if (!event.at("lists").empty()) {
+        Table lists({"RIGHT", "ENTITY", "WHO"});
+        for (const auto& one : event.at("lists"))
+            lists.add({{textOf(one, "right")}, {textOf(one, "entity")}, {valuesText(one.at("who"))}});
+        text += lists.text(terminal_.colour);
+    }
+    say(text + "fingerprint " + textOf(event, "fingerprint"));
+}
+
+void PersonView::showUserChanged(const Json& event) {
+    const auto action = textOf(event, "action");
+    const auto role = textOf(event, "role");
+    const auto what = action == "add"        ? "may log in as " + role
+                      : action == "role"     ? "has the role " + role
+                      : action == "password" ? std::string("has a new password")
+                                             : std::string("is removed");
+    say(paint("✓", Tint::Green) + " " + textOf(event, "name") + " " + what +
+        "; servers that read this file take it over within 3 s");
 }
 
 void PersonView::showAuditRecord(const Json& record) {

@@ -41,6 +41,8 @@ class PersonView final : public Events {
     void showSample(const Json& event);
     void showFinding(const Json& event);
     void showCertificates(const Json& list);
+    void showUsers(const Json& event);
+    void showUserChanged(const Json& event);
     void showAuditRecord(const Json& record);
     void showAuditTrail(const Json& trail);
     void showIssued(const Json& event);

@@ -188,17 +188,16 @@ std::pair<std::string, std::vector<std::string>> NewsDesk::removeWatch(std::uint
     return removed;
 }
 
-void NewsDesk::onSample(const Sample& sample) {
+void NewsDesk::onSample(Sample sample) {
+    const auto shared = std::make_shared<const Sample>(std::move(sample));  // a picture is large
     for (const auto& [id, watching] : watches_) {
-        if (watching.entity != sample.entity) continue;
+        if (watching.entity != shared->entity) continue;
         const auto& streams = watching.streams;
-        if (!streams.empty() && std::find(streams.begin(), streams.end(), sample.stream) == streams.end())
+        if (!streams.empty() && std::find(streams.begin(), streams.end(), shared->stream) == streams.end())
             continue;
         tell(
-            [callback = watching.callback, wanted = watching.wanted, sample = Sample(sample)]() mutable {
-                if (!*wanted) return;
-                sample.json = sampleToJson(sample.raw);
-                (*callback)(sample);
+            [callback = watching.callback, wanted = watching.wanted, shared] {
+                if (*wanted) (*callback)(*shared);
             },
             true);
     }

@@ -48,7 +48,7 @@ class NewsDesk final : public SessionObserver {
     void onOrphaned(const Held& held, const std::string& reason) override;
     void onResumed(const Held& held) override;
     void onHandOver(const Held& held, const HandOverRequest& request) override;
-    void onSample(const Sample& sample) override;
+    void onSample(Sample sample) override;
     void onTransferCredit(const Id128& transfer, std::uint64_t offset, std::uint64_t limit) override;
     void onServerText(int code, const std::string& text) override;
 

@@ -172,8 +172,8 @@ TEST_F(NewsDeskTest, AWatchGetsItsStreamsAndNothingAfterItsEnd) {
     news.addWatch("robot", {"sonar"}, note("some"));
     news.addWatch("robot", {}, note("all"));
     const auto ended = news.addWatch("robot", {"sonar"}, note("ended"));
-    for (const auto* stream : {"sonar", "laser"}) news.onSample({"robot", stream, 1, {}, {}});
-    news.onSample({"another", "sonar", 1, {}, {}});
+    for (const auto* stream : {"sonar", "laser"}) news.onSample({"robot", stream, 1, {}});
+    news.onSample({"another", "sonar", 1, {}});
     EXPECT_EQ(news.removeWatch(ended), (std::pair<std::string, Noted>{"robot", {"sonar"}}));
     EXPECT_TRUE(news.removeWatch(ended).first.empty());
     comeBack();

@@ -648,7 +648,7 @@ TEST_F(ClientTest, TextsAndStreamsArriveInOrder) {
     });
     auto watching = me->watch("PeopleBot", {"battery"}, [&](const Sample& sample) {
         const std::lock_guard lock(mutex);
-        samples.push_back(sample.json);
+        samples.push_back(sample.json());
     });
     ASSERT_TRUE(watching.ok());
     ASSERT_TRUE(waitUntil([&] {

@@ -12,10 +12,10 @@ namespace axon {
 namespace {
 
 constexpr std::array kRights{
-    Right{kStopOperation, "", 0, Who::Anyone, Peers::No},
+    Right{kStopOperation, "", 0, Who::Anyone, Peers::No, std::nullopt},
     Right{kResetOperation, "", 0, Who::Holder, Peers::No},
     Right{kClearOperation, "", 0, Who::Holder, Peers::No},
-    Right{kMsgCheckOut, "check_out", 1, Who::Operator, Peers::No},
+    Right{kMsgCheckOut, "check_out", 1, Who::Operator, Peers::No, EntityRight::CheckOut},
     Right{kMsgRelease, "release", 2, Who::Holder, Peers::No},
     Right{kMsgParam, "set_param", 3, Who::Holder, Peers::No},
     Right{kMsgTask, "task", 4, Who::Holder, Peers::No},
@@ -24,7 +24,7 @@ constexpr std::array kRights{
     Right{kMsgResource, "resource_chunk", 7, Who::Holder, Peers::No},
     Right{kMsgText, "text", 8, Who::Holder, Peers::No},
     Right{kMsgRaw, "raw", 9, Who::Holder, Peers::OfRun},
-    Right{kMsgRearm, "rearm", 10, Who::HolderOrAdmin, Peers::No},
+    Right{kMsgRearm, "rearm", 10, Who::HolderOrAdmin, Peers::No, EntityRight::Rearm},
     Right{kMsgStatus, "status_request", 11, Who::Anyone, Peers::No},
     Right{kMsgWatch, "watch", 12, Who::Anyone, Peers::No},
     Right{kMsgHandOver, "hand_over_answer", 13, Who::Holder, Peers::No},
@@ -56,7 +56,41 @@ std::string cell(Who who, bool operates, bool administers, bool holds) {
     return denied(RefusalCode::PermissionDenied);
 }
 
+/// The rights that a client needs of the lists.
+std::string listed(const Right& right) {
+    if (right.who == Who::Nobody) return "";
+    if (!right.needs) return "none";
+    if (*right.needs == EntityRight::See) return toString(EntityRight::See);
+    return std::string(toString(EntityRight::See)) + ", " + toString(*right.needs);
+}
+
 }  // namespace
+
+const char* toString(EntityRight right) {
+    switch (right) {
+        case EntityRight::See:
+            return "see";
+        case EntityRight::CheckOut:
+            return "checkout";
+        case EntityRight::Force:
+            return "force";
+        case EntityRight::Rearm:
+            return "rearm";
+    }
+    return "?";
+}
+
+std::optional<EntityRight> entityRight(std::string_view text) {
+    for (const auto right : kEntityRights)
+        if (text == toString(right)) return right;
+    return std::nullopt;
+}
+
+EntityRight neededFor(std::string_view msg_type) {
+    for (const auto& right : kRights)
+        if (right.number != 0 && right.msg_type == msg_type && right.needs) return *right.needs;
+    return EntityRight::See;
+}
 
 std::span<const Right> rights() {
     return kRights;
@@ -125,9 +159,19 @@ std::string rightsPage() {
         "A client that once held the entity gets, instead of `NOT_HOLDER`, the code that says how it "
         "lost its lease ([refusals](refusals.md#what-a-header-lacks)).\n"
         "\n"
+        "The column *list* is for the [lists of an entity](server_configuration.md#lists-of-an-entity), "
+        "which a "
+        "front-end server asks for every client before it passes a message on.\n"
+        "It names the right that the client needs, and *none* where no list is asked: a stop is never kept "
+        "back.\n"
+        "Without the right to see, a message is refused with `UNKNOWN_ENTITY`, as if there were no such "
+        "entity; without the other one, with `PERMISSION_DENIED`.\n"
+        "A `CHECKOUT` by force needs the right *force* as well; without it the Entity Manager refuses the "
+        "force, as an operator's.\n"
+        "\n"
         "| msgType, or the operation of a signal | `ToEntity` | observer | operator | administrator | holder "
-        "| entity |\n"
-        "|---|---|---|---|---|---|---|\n";
+        "| entity | list |\n"
+        "|---|---|---|---|---|---|---|---|\n";
     for (const auto& right : kRights) {
         page += "| `" + std::string(right.msg_type) + "` | " +
                 (right.body.empty() ? "" : "`" + std::string(right.body) + '`') + " | " +
@@ -136,7 +180,7 @@ std::string rightsPage() {
                 (right.number == 0             ? "no such operation"
                  : right.peers == Peers::OfRun ? "of a run"
                                                : std::string(refusalName(RefusalCode::PermissionDenied))) +
-                " |\n";
+                " | " + listed(right) + " |\n";
     }
     page +=
         "\n"

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT
 #pragma once
+#include <array>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -24,6 +26,20 @@ enum class Peers : std::uint8_t {
             ///< by the client
 };
 
+/// What a list of users.cfg may keep from a user for one entity (docs/reference/server_configuration.md).
+/// There is none for stops: whoever sees an entity may stop it.
+enum class EntityRight : std::uint8_t {
+    See,       ///< otherwise it is UNKNOWN_ENTITY
+    CheckOut,  ///< PERMISSION_DENIED, as for the others
+    Force,     ///< of an administrator: to take it over. In a payload, so its role is kept from the message
+    Rearm
+};
+inline constexpr std::array kEntityRights{EntityRight::See, EntityRight::CheckOut, EntityRight::Force,
+                                          EntityRight::Rearm};
+/// "see", "checkout", "force", "rearm".
+const char* toString(EntityRight right);
+std::optional<EntityRight> entityRight(std::string_view text);
+
 /// One kind of message to an entity, or one signal.
 struct Right {
     std::string_view msg_type;  ///< Header.msgType; of a signal the operation
@@ -31,6 +47,8 @@ struct Right {
     int number;                 ///< of that field; of a signal 0
     Who who;                    ///< of the clients
     Peers peers;
+    /// What a list may keep from a client; nothing: no list is asked.
+    std::optional<EntityRight> needs = EntityRight::See;
 };
 
 /// Who may send an entity what: the one table that front-end servers, entity servers and Entity Managers ask,
@@ -46,6 +64,9 @@ const Right& rightOfSignal(std::string_view operation);
 /// What a front-end server passes on for a client. A msgType that the table does not know is the Entity
 /// Manager's business: servers need not change for a new one.
 bool clientsMaySend(std::string_view msg_type);
+/// What a front-end server asks its lists before it passes a client's message on. A msgType that the table
+/// does not know needs what any other message needs: See.
+EntityRight neededFor(std::string_view msg_type);
 /// What an entity server passes on from one entity to another.
 bool entitiesMaySend(std::string_view msg_type);
 

@@ -12,19 +12,19 @@ struct EntityServer::Parts {
     Parts(const EntityServerSettings& settings, const std::shared_ptr<Ice::Communicator>& data,
           const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
           EntityServerCore::Note note)
-        : topic(
-              data, settings.topic_signals,
-              {[this](const Header& head, const Refusal& refusal) {
-                   core.peerRefusal(Lane::Data, head, refusal);
-               },
-               [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }}),
+        : topic(data, settings.topic_signals,
+                {[this](const Header& head, const Refusal& refusal) {
+                     core.peerRefusal(Lane::Data, head, refusal);
+                 },
+                 [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }},
+                settings.links),
           core(
               settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { rim.wake(); },
               [this] {
                   if (auto* thread = publisher_ready.load()) thread->wake();
               },
-              settings.audit),
+              settings.audit, settings.users),
           rim(core, topic, settings, data, signal, clock) {
         publisher = std::make_unique<transport::TimerThread>("axon-publisher", Lane::Data, Duration{}, clock,
                                                              [this, &clock] {

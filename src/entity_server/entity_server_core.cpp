@@ -49,7 +49,7 @@ void loseClient(EntityOutbox& signal, const EntityStatus& status, TimePoint now)
 EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Clock& clock,
                                    RandomSource& random, FrontEndTopic& topic, Note note,
                                    std::function<void()> wake, std::function<void()> pending,
-                                   audit::AuditTrail* trail)
+                                   audit::AuditTrail* trail, const users::PresentUsers* users)
     : settings_(settings),
       clock_(clock),
       random_(random),
@@ -58,6 +58,7 @@ EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Cloc
       wake_(std::move(wake)),
       pending_(std::move(pending)),
       audit_(trail),
+      users_(users),
       others_(settings.name, random, note_, [this](Lane lane) { announce(lane); }),
       front_ends_(others_.add({.name = "front-end server",
                                .timeouts = settings.front_ends,
@@ -79,10 +80,11 @@ const std::string& EntityServerCore::token(const Session& session) {
     return session.token;
 }
 
-EntityServerCore::SessionRef EntityServerCore::open(std::shared_ptr<EntityOutbox> data) {
+EntityServerCore::SessionRef EntityServerCore::open(std::shared_ptr<EntityOutbox> data,
+                                                    const std::string& user) {
     const std::lock_guard lock(mutex_);
     auto session = std::make_shared<Session>(++sessions_opened_, Id128::random(random_).toString(),
-                                             std::move(data), settings_.messages_per_second);
+                                             std::move(data), settings_.messages_per_second, user);
     tokens_.emplace(session->token, session);
     return session;
 }
@@ -122,6 +124,13 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
         if (session->gone) return refuse(RefusalCode::NotConnected, "the session has ended; connect again");
+        // Here, where usersChanged() finds it from now on: nobody slips in between.
+        if (!isUser(*session))
+            return refuse(
+                RefusalCode::PermissionDenied,
+                "the user '" + session->user +
+                    "' was removed or got another role while the session was being opened; fix: ask "
+                    "the administrator of the server for a user of the role entity");
         if (!session->signal) {
             return refuse(
                 RefusalCode::WrongState,
@@ -318,6 +327,21 @@ void EntityServerCore::peerRefusal(Lane lane, const Header& head, const Refusal&
 
 void EntityServerCore::keepAlive(const SessionRef& session) {
     session->liveness.heard(clock_.now());
+}
+
+bool EntityServerCore::isUser(const Session& session) const {
+    return users_ == nullptr || session.user.empty() || users_->mayBeEntityManager(session.user);
+}
+
+void EntityServerCore::usersChanged() {
+    std::vector<SessionRef> gone;
+    {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [entity, session] : registered_)
+            if (!isUser(*session)) gone.push_back(session);
+    }
+    for (const auto& session : gone)
+        leave(session, false, "the user '" + session->user + "' was removed or got another role");
 }
 
 void EntityServerCore::leave(const SessionRef& session, bool orderly, const std::string& why) {

@@ -24,6 +24,7 @@
 #include "entity_server/sessions/due_sessions.hpp"
 #include "entity_server/sessions/entity_audit.hpp"
 #include "entity_server/sessions/session.hpp"
+#include "users/present_users.hpp"
 
 namespace axon::entity_server {
 
@@ -79,15 +80,17 @@ class EntityServerCore {
     using Note = std::function<void(const std::string& line)>;
 
     /// `note` gets a line for people; `wake` is called when onTimer() is due earlier than it said, `pending`
-    /// when publishPending() is to be called, by a thread that is not the signal lane's. `trail`: null where
-    /// nothing is recorded.
+    /// when publishPending() is to be called, by a thread that is not the signal lane's. `trail`,
+    /// `users`: null where there are none.
     EntityServerCore(EntityServerCoreSettings settings, const Clock& clock, RandomSource& random,
                      FrontEndTopic& topic, Note note, std::function<void()> wake,
-                     std::function<void()> pending, audit::AuditTrail* trail = nullptr);
+                     std::function<void()> pending, audit::AuditTrail* trail = nullptr,
+                     const users::PresentUsers* users = nullptr);
     ~EntityServerCore();
 
     // From an Entity Manager. `session` is never null.
-    SessionRef open(std::shared_ptr<EntityOutbox> data);
+    /// `user`: who has logged in, empty where nobody has a name.
+    SessionRef open(std::shared_ptr<EntityOutbox> data, const std::string& user = {});
     static const std::string& token(const Session& session);
     Result<SessionRef> attach(const std::string& token, std::shared_ptr<EntityOutbox> signal);
     Result<void> sendBasicPrfl(const SessionRef& session, Registration registration,
@@ -133,6 +136,10 @@ class EntityServerCore {
     void peerMsg(Lane lane, const Header& head, std::string_view message);
     void peerRefusal(Lane lane, const Header& head, const Refusal& refusal);
 
+    /// The users are others now. The session of an Entity Manager that is none of them ends, and its robot is
+    /// stopped as for any server that is lost.
+    void usersChanged();
+
     /// Sends the heartbeats that are due and gives up silent EMs; returns when it wants to be called again.
     TimePoint onTimer();
     /// Publishes what others have left behind.
@@ -147,6 +154,7 @@ class EntityServerCore {
     void toEntities(const Header& head, Send&& send);
     bool flooded(const SessionRef& session);
     TimePoint onDrillTimer();
+    bool isUser(const Session& session) const;
     bool alone() const { return settings_.name.empty(); }
     void announce(Lane lane);
     void frontEndsLost(const std::vector<std::string>& names);
@@ -161,6 +169,7 @@ class EntityServerCore {
     const std::function<void()> wake_;
     const std::function<void()> pending_;
     const EntityAudit audit_;
+    const users::PresentUsers* const users_;
 
     OtherServers others_;
     OtherServers::Group& front_ends_;

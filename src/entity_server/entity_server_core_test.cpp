@@ -142,6 +142,15 @@ class FakeTopic final : public FrontEndTopic {
     EntityStatus last;
 };
 
+class FakeUsers final : public users::PresentUsers {
+  public:
+    std::optional<Role> clientRole(const std::string&) const override { return std::nullopt; }
+    bool mayBeEntityManager(const std::string& user) const override { return user != gone; }
+    std::shared_ptr<const users::Access> access() const override { return nullptr; }
+
+    std::string gone;
+};
+
 class EntityServerTest : public testing::Test {
   protected:
     struct Peer {
@@ -150,9 +159,9 @@ class EntityServerTest : public testing::Test {
         EntityServerCore::SessionRef session;
     };
 
-    Peer connect() {
+    Peer connect(const std::string& user = {}) {
         Peer peer;
-        peer.session = core.open(peer.data);
+        peer.session = core.open(peer.data, user);
         EXPECT_TRUE(core.attach(EntityServerCore::token(*peer.session), peer.signal).ok());
         return peer;
     }
@@ -208,6 +217,7 @@ class EntityServerTest : public testing::Test {
     EntityServerCoreSettings settings;
     explicit EntityServerTest(EntityServerCoreSettings its = {}) : settings(std::move(its)) {}
     test::RecordedAudit trail;
+    FakeUsers users;
     EntityServerCore core{settings,
                           clock,
                           random,
@@ -218,8 +228,30 @@ class EntityServerTest : public testing::Test {
                               ++pending;
                               if (publish_at_once) core.publishPending();
                           },
-                          &trail};
+                          &trail,
+                          &users};
 };
+
+TEST_F(EntityServerTest, TheSessionOfARemovedUserEnds) {
+    auto left = connect("left"), right = connect("right"), certified = connect();
+    const char* uuids[] = {kFirst, kSecond, "00000000-0000-4000-8000-000000000003"};
+    int at = 0;
+    for (auto* peer : {&left, &right, &certified})
+        ASSERT_TRUE(core.sendBasicPrfl(peer->session, registration(uuids[at++]), "profile").ok());
+    auto late = connect("left");
+    topic.take();
+    users.gone = "left";
+    core.usersChanged();
+    EXPECT_EQ(core.entities(), 2U);
+    EXPECT_THAT(left.data->disconnected, HasSubstr("was removed"));
+    EXPECT_THAT(left.signal->disconnected, HasSubstr("was removed"));
+    EXPECT_THAT(right.data->disconnected, IsEmpty());
+    EXPECT_THAT(certified.data->disconnected, IsEmpty());
+    EXPECT_THAT(topic.take(), Contains("left Robot"));
+    EXPECT_THAT(notes.back(), HasSubstr("the user 'left' was removed"));
+    const auto refused = core.sendBasicPrfl(late.session, registration(kFirst), "profile");
+    EXPECT_EQ(refused.refusal().code, RefusalCode::PermissionDenied);
+}
 
 TEST_F(EntityServerTest, AnEntityWithoutAProfileIsPublishedAndCanBeStoppedAndJoinsWhenItHasOne) {
     auto peer = connect();

@@ -85,7 +85,8 @@ Refusal serverUnreached(const std::string& server) {
 }  // namespace
 
 IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
-                                   const std::shared_ptr<Ice::Communicator>& signal, Lost lost)
+                                   const std::shared_ptr<Ice::Communicator>& signal, Lost lost,
+                                   transport::LinkTrust* links)
     : peer_lost_([lost = std::move(lost.to_peer)](const Header& head) {
           lost(head, {RefusalCode::NotConnected,
                       "the connection to the entity server that has that entity has failed; try again",
@@ -96,8 +97,8 @@ IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& dat
                {RefusalCode::NotConnected, "the connection to the client's front-end server has failed", {}});
       }),
       to_client_refused_(std::move(lost.to_client)),
-      front_ends_(data, signal, "entity server"),
-      peers_(data, signal, "entity server") {}
+      front_ends_(data, signal, "entity server", links, certificates::Kind::FrontEnd),
+      peers_(data, signal, "entity server", links, certificates::Kind::EntityServer) {}
 
 /// To the front-end server of the recipient, or to all.
 template <class Call>
@@ -200,8 +201,8 @@ void IceFrontEndTopic::peerRefusal(Lane lane, const std::string& server, const H
 Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr<Prx> callback,
                                                                  const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Data, current);
-    auto session =
-        lane_.core.open(std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()));
+    auto session = lane_.core.open(
+        std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()), user_);
     const auto token = EntityServerCore::token(*session);
     session_.adopt(std::move(session));
     return {lane_.toPeer(token), lane_.signalEndpoint(*session_.peer())};
@@ -287,20 +288,32 @@ void EntityGateServant::openAsync(std::string user, std::string password, Opened
 std::shared_ptr<EntitySessionServant> EntitySessions::make(
     EntityLane& lane, const std::shared_ptr<transport::PeerConnection>& peer, const transport::LoggedIn& who,
     const std::string&) {
-    return std::make_shared<EntitySessionServant>(lane, peer, who.entity);
+    return std::make_shared<EntitySessionServant>(lane, peer, who.entity, who.user);
 }
 
-void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {
+certificates::Kind FrontEndToEntityServant::callerOf(std::string_view operation) {
+    const bool of_peers =
+        operation == "entityServerUpdate" || operation == "peerMsg" || operation == "peerRefusal";
+    return of_peers ? certificates::Kind::EntityServer : certificates::Kind::FrontEnd;
+}
+bool FrontEndToEntityServant::ofItsClient(const IceHeader& head, const Ice::Current& current) const {
+    return links_ == nullptr ||
+           links_->speaksAs(current, std::string(originOf(head.sender.id).server), "speaks for a client of");
+}
+void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current& current) {
+    if (!ofItsClient(head, current)) return;
     core_.clientMsg(fromIce(std::move(head)), toView(message), via_);
 }
-void FrontEndToEntityServant::clientMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current&) {
+void FrontEndToEntityServant::clientMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
+    if (!ofItsClient(head, current)) return;
     core_.clientMsgDataSeq(fromIce(std::move(head)), toView(data), via_);
 }
 void FrontEndToEntityServant::clientRequest(IceHeader head, const Ice::Current&) {
     core_.clientRequest(fromIce(std::move(head)));
 }
 void FrontEndToEntityServant::clientUpdate(IceHeader head, Axon::CommUtil::ClientChange change,
-                                           const Ice::Current&) {
+                                           const Ice::Current& current) {
+    if (!ofItsClient(head, current)) return;
     core_.clientUpdate(fromIce(std::move(head)), fromIce(change));
 }
 void FrontEndToEntityServant::stopSignal(IceHeader head, Axon::CommUtil::StopCause cause,
@@ -311,18 +324,23 @@ void FrontEndToEntityServant::stopSignals(IceHeader head, Axon::CommUtil::Entiti
                                           Axon::CommUtil::StopCause cause, const Ice::Current&) {
     core_.stopSignals(fromIce(std::move(head)), entities, fromIce(cause));
 }
-void FrontEndToEntityServant::resetSignal(IceHeader head, const Ice::Current&) {
+void FrontEndToEntityServant::resetSignal(IceHeader head, const Ice::Current& current) {
+    if (!ofItsClient(head, current)) return;
     core_.resetSignal(fromIce(std::move(head)));
 }
-void FrontEndToEntityServant::clearSignal(IceHeader head, const Ice::Current&) {
+void FrontEndToEntityServant::clearSignal(IceHeader head, const Ice::Current& current) {
+    if (!ofItsClient(head, current)) return;
     core_.clearSignal(fromIce(std::move(head)));
 }
 void FrontEndToEntityServant::frontEndServerUpdate(Axon::CommUtil::ServerAnnouncement server,
-                                                   const Ice::Current&) {
+                                                   const Ice::Current& current) {
+    if (links_ != nullptr && !links_->speaksAs(current, server.name, transport::kAnnounced)) return;
     core_.frontEndServerUpdate(lane_, fromIce(std::move(server)));
 }
 void FrontEndToEntityServant::entityServerUpdate(Axon::CommUtil::ServerAnnouncement server,
-                                                 Axon::CommUtil::Entities entities, const Ice::Current&) {
+                                                 Axon::CommUtil::Entities entities,
+                                                 const Ice::Current& current) {
+    if (links_ != nullptr && !links_->speaksAs(current, server.name, transport::kAnnounced)) return;
     core_.entityServerUpdate(lane_, fromIce(std::move(server)), entities);
 }
 void FrontEndToEntityServant::peerMsg(IceHeader head, ByteRange message, const Ice::Current&) {

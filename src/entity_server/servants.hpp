@@ -3,8 +3,10 @@
 #include <axon/entitycomm.h>
 #include <axon/frontendcomm.h>
 
+#include <array>
 #include <memory>
 #include <string>
+#include <string_view>
 
 #include "entity_server/entity_server_core.hpp"
 #include "entity_server/ports/ports.hpp"
@@ -46,9 +48,10 @@ class IceFrontEndTopic final : public FrontEndTopic {
     struct Lost {
         std::function<void(const Header&, const Refusal&)> to_peer, to_client;
     };
-    /// `signal`: the communicator of signals between servers.
+    /// `signal`: the communicator of signals between servers. `links`: of links under TLS, else null.
     IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
-                     const std::shared_ptr<Ice::Communicator>& signal, Lost lost);
+                     const std::shared_ptr<Ice::Communicator>& signal, Lost lost,
+                     transport::LinkTrust* links);
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& front_ends,
                    const std::vector<std::string>& entity_servers) {
@@ -99,11 +102,13 @@ using EntityLane = transport::SessionLane<EntityServerCore, EntitySessionServant
 /// attachSignalLane), closed. Answers only on the connection that opened it.
 class EntitySessionServant final : public Axon::EntityComm::EntitySession {
   public:
-    /// `certified`: the only name that it may register, by its certificate; empty: any.
+    /// `certified`: the only name that it may register, by its certificate; empty: any. `user`: who has
+    /// logged in; empty where nobody has a name.
     EntitySessionServant(EntityLane& lane, std::shared_ptr<transport::PeerConnection> peer,
-                         std::string certified = {})
+                         std::string certified = {}, std::string user = {})
         : lane_(lane),
           certified_(std::move(certified)),
+          user_(std::move(user)),
           session_(std::move(peer), [&lane](const auto& session, const Farewell& farewell) {
               lane.core.leave(session, farewell.orderly, farewell.why);
           }) {}
@@ -140,6 +145,7 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession {
 
     EntityLane& lane_;
     const std::string certified_;
+    const std::string user_;
     transport::LaneSession<EntityServerCore::SessionRef, Farewell> session_;
 };
 
@@ -159,8 +165,14 @@ class EntityGateServant final : public Axon::EntityComm::EntityGate {
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
   public:
-    FrontEndToEntityServant(EntityServerCore& core, Lane lane, Via via)
-        : core_(core), lane_(lane), via_(via) {}
+    /// Who calls straight, and what.
+    static constexpr std::array kCallers{certificates::Kind::FrontEnd, certificates::Kind::EntityServer};
+    static certificates::Kind callerOf(std::string_view operation);
+
+    /// `links`: of what comes straight over TLS, where each server speaks for itself only; else null. A stop
+    /// is obeyed whoever it is said to come from.
+    FrontEndToEntityServant(EntityServerCore& core, Lane lane, Via via, transport::LinkTrust* links)
+        : core_(core), lane_(lane), via_(via), links_(links) {}
     void clientMsg(Axon::CommUtil::Header head, transport::ByteRange message, const Ice::Current&) override;
     void clientMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
                           const Ice::Current&) override;
@@ -180,9 +192,13 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
     void peerRefusal(Axon::CommUtil::Header head, int code, std::string reason, const Ice::Current&) override;
 
   private:
+    /// Whether the caller is the front-end server of the client that the head names.
+    bool ofItsClient(const Axon::CommUtil::Header& head, const Ice::Current& current) const;
+
     EntityServerCore& core_;
     const Lane lane_;
     const Via via_;
+    transport::LinkTrust* const links_;
 };
 
 /// What is the entity server's own of its ServerRim.
@@ -194,6 +210,7 @@ struct EntitySessions {
     using Gate = EntityGateServant;
     using Listener = FrontEndToEntityServant;
     static constexpr const char* kServer = "EntityServer";
+    static constexpr auto kCertificate = certificates::Kind::EntityServer;
     static constexpr const char* kPeer = "an Entity Manager";
     static constexpr const char* kGate = "EntityGate";
     static constexpr const char* kTimer = "axon-ent-timer";

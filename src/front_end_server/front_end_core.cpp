@@ -13,6 +13,7 @@
 #include "common/planted_bug.hpp"
 #include "common/queue_share.hpp"
 #include "common/refuse.hpp"
+#include "common/rights.hpp"
 #include "common/utf8.hpp"
 #include "front_end_server/clients/admission.hpp"
 #include "front_end_server/clients/client.hpp"
@@ -31,7 +32,8 @@ void refuseUnknown(ClientOutbox& to, const Header& head) {
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
                            EntityTopic& topic, Note note, std::function<void()> wake,
-                           GlobalServicesPort* global_services, audit::AuditTrail* trail)
+                           GlobalServicesPort* global_services, audit::AuditTrail* trail,
+                           const users::PresentUsers* users)
     : settings_(settings),
       clock_(clock),
       random_(random),
@@ -39,6 +41,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       note_(std::move(note)),
       wake_(std::move(wake)),
       global_services_(global_services),
+      users_(users),
       settlement_(clock, topic),
       log_(clock, note_, trail),
       others_(settings.name, random, note_,
@@ -62,7 +65,10 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
                                            ask(name);
                                        }})),
       entities_(alone(), entity_servers_, clock),
-      gone_(settings.clients_remembered) {}
+      gone_(settings.clients_remembered) {
+    if (users_ == nullptr) return;
+    for (auto& lane : access_) lane.store(users_->access());
+}
 
 FrontEndCore::~FrontEndCore() = default;
 
@@ -82,11 +88,21 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
     ClientRef client;
     {
         const std::lock_guard lock(mutex_);
+        // Here, where usersChanged() finds it from now on: nobody slips in between.
+        if (const auto less = lessThan(user, role))
+            return refuse(RefusalCode::PermissionDenied,
+                          *less + " while the session was being opened; fix: log in again");
         if (clients_.size() >= settings_.clients_max) {
             return refuse(RefusalCode::Overloaded, "the server has its " +
                                                        std::to_string(settings_.clients_max) +
                                                        " clients; raise FrontEndServer.ClientsMax");
         }
+        auto share = shareOf(user);
+        if (share && share->sessions >= settings_.user_sessions)
+            return refuse(RefusalCode::Overloaded, "the user '" + user + "' has " +
+                                                       std::to_string(settings_.user_sessions) +
+                                                       " sessions, which is the most; fix: end some, or have "
+                                                       "FrontEndServer.UserSessions raised");
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
         const auto origin = alone() ? std::string() : settings_.name + ":" + others_.self().instance + ":";
@@ -96,14 +112,25 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         if (!user.empty()) id.replace(0, kUserDigits, userPart(user));
         Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
-                                          settings_, clock_.now());
+                                          settings_, clock_.now(), user, share);
+        if (share) {
+            ++share->sessions;
+            shares_.emplace(user, std::move(share));
+        }
         clients_.add(client);
     }
     wake_();
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
     log_.joined(client->me, user);
-    client->told = pushAll(*client->data);
+    client->told = pushAll(*client);
     return client;
+}
+
+/// Under the mutex: a new one where the user has no session; null where nobody has a name.
+std::shared_ptr<UserShare> FrontEndCore::shareOf(const std::string& user) {
+    if (user.empty()) return nullptr;
+    const auto its = shares_.find(user);
+    return its != shares_.end() ? its->second : std::make_shared<UserShare>(settings_);
 }
 
 Result<FrontEndCore::ClientRef> FrontEndCore::attach(const std::string& token,
@@ -122,14 +149,16 @@ Result<FrontEndCore::ClientRef> FrontEndCore::attach(const std::string& token,
 // No lock is held while a client is told, so something may change meanwhile and be told by another thread
 // first. Therefore again, until what was told is what is: the last word about each entity is then the true
 // one.
-std::size_t FrontEndCore::pushAll(ClientOutbox& to) {
-    Entities::Records told;
+std::size_t FrontEndCore::pushAll(const Client& client, Entities::Records told) {
+    auto& to = *client.data;
     while (true) {
         Entities::Records now;
         {
             const std::lock_guard lock(mutex_);
             now = entities_.records();
         }
+        const auto lists = access(Lane::Data);
+        std::erase_if(now, [&](const auto& one) { return !sees(client, *lists, one.second->registration); });
         bool changed = false;
         for (const auto& [entity, record] : now) {
             const auto before = told.find(entity);
@@ -177,7 +206,7 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
     if (flooded(client)) return;
     if (head.msg_type == kMsgStatus) {
         if (client->lists.admit(clock_.now())) {
-            pushAll(*client->data);
+            pushAll(*client);
             return;
         }
         head.sender = client->me;
@@ -202,7 +231,68 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
                                                     "'; expected STATUS or GLOBAL_SERVICES"));
 }
 
-Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) {
+bool FrontEndCore::sees(const Client& client, const users::Access& access, const Registration& registration) {
+    return client.user.empty() || access.empty() ||
+           access.allows(client.user, client.me.role, EntityRight::See, registration.entity,
+                         registration.name);
+}
+
+bool FrontEndCore::sees(const Client& client, const std::string& entity, Lane lane) const {
+    const auto lists = access(lane);
+    if (client.user.empty() || lists->empty()) return true;
+    const auto name = entities_.nameOf(entity, lane);
+    return name && lists->allows(client.user, client.me.role, EntityRight::See, entity, *name);
+}
+
+/// The message is refused by what the lists say, or what they keep back is taken out of its head.
+Result<void> FrontEndCore::mayByLists(const Client& client, Header& head, Lane lane) const {
+    const auto lists = access(lane);
+    if (client.user.empty() || lists->empty()) return {};
+    const auto name = entities_.nameOf(head.entity, lane);
+    const auto has = [&](EntityRight right) {
+        return lists->allows(client.user, client.me.role, right, head.entity, *name);
+    };
+    // As one that is not there. One that is on its way here is not known by its name yet.
+    if (!name || !has(EntityRight::See)) return unknownEntity(head.entity);
+    const auto needed = neededFor(head.msg_type);
+    if (!has(needed))
+        return refuse(RefusalCode::PermissionDenied, "the list of " + *name + " (@" + toString(needed) +
+                                                         " in users.cfg) does not name " + client.user +
+                                                         "; fix: ask the administrator of the server");
+    // The force itself is in the payload; what gives it to a message is the role of its sender.
+    if (needed == EntityRight::CheckOut && !has(EntityRight::Force))
+        head.sender.role = std::min(head.sender.role, Role::Operator);
+    return {};
+}
+
+/// A signal that is none of those that are never kept back.
+bool FrontEndCore::refuseUnseen(const ClientRef& client, const Header& head) {
+    if (sees(*client, head.entity, Lane::Signal)) return false;
+    refuseUnknown(*client->signalOutbox(), head);
+    log_.refused(head, unknownEntity(head.entity));
+    flooded(client);
+    return true;
+}
+
+/// Of those that the client sees; how many these are.
+std::size_t FrontEndCore::drillAll(const Client& client, const Header& head) {
+    const auto lists = access(Lane::Signal);
+    std::vector<std::string> seen;
+    entities_.each(Lane::Signal, [&](const Entities::RecordRef& record) {
+        if (sees(client, *lists, record->registration)) seen.push_back(record->registration.entity);
+    });
+    for (std::size_t i = 0; i < seen.size(); i += kStopsAtOnce) {
+        const auto begin = seen.begin() + static_cast<std::ptrdiff_t>(i);
+        const auto end = begin + static_cast<std::ptrdiff_t>(std::min(kStopsAtOnce, seen.size() - i));
+        topic_.stopSignals(head, {begin, end}, StopCause::Drill);
+    }
+    return seen.size();
+}
+
+Result<void> FrontEndCore::mayGoOn(Client& client, Header& head, std::size_t bytes, bool droppable) {
+    if (auto may = admitToShare(client, bytes, droppable, settings_, clock_); !may.ok()) return may;
+    if (auto may = mayByLists(client, head, Lane::Data); !may.ok()) return may;
+    if (auto may = admitCheckOut(client, head, settings_); !may.ok()) return may;
     const auto first_check_out = admit(client, head, bytes, entities_, clock_);
     if (!first_check_out.ok()) return first_check_out.refusal();
     if (!first_check_out.value()) return {};
@@ -227,7 +317,7 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
         refuseUnknown(*client->data, head);
         return log_.refused(head, unknownEntity(head.entity));
     }
-    if (const auto may = mayGoOn(*client, head, message.size()); !may.ok()) {
+    if (const auto may = mayGoOn(*client, head, message.size(), false); !may.ok()) {
         client->data->newRefusalMsg(head, may.refusal());
         log_.refused(head, may.refusal());
         return log_.excess(client->me, may.refusal());
@@ -246,8 +336,8 @@ void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std
     // A client that may not send droppable data is not told. What is no raw data does not belong here, so its
     // refusal is recorded; those of raw data come many times a second.
     const bool raw = head.msg_type == kMsgRaw;
-    const auto may =
-        !alone() && !server ? Result<void>(unknownEntity(head.entity)) : mayGoOn(*client, head, data.size());
+    const auto may = !alone() && !server ? Result<void>(unknownEntity(head.entity))
+                                         : mayGoOn(*client, head, data.size(), true);
     if (!may.ok()) return raw ? void() : log_.refused(head, may.refusal());
     topic_.clientMsgDataSeq(server ? *server : std::string(), head, data);
     log_.command(head);
@@ -260,8 +350,11 @@ void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCaus
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
     if (cause == StopCause::Drill && drillsTooMuch(client, head, entities_.targets(head.entity))) return;
-    topic_.stopSignal(head, cause);
-    const auto targets = entities_.targets(head.entity);
+    const bool drills_all = cause == StopCause::Drill && head.entity.empty();
+    if (cause == StopCause::Drill && !drills_all && refuseUnseen(client, head)) return;
+    const bool some = drills_all && !client->user.empty() && !access(Lane::Signal)->empty();
+    if (!some) topic_.stopSignal(head, cause);
+    const auto targets = some ? drillAll(*client, head) : entities_.targets(head.entity);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
     if (!alone() && targets == 0 && !head.entity.empty()) refuseUnknown(*client->signalOutbox(), head);
     log_.audit(cause == StopCause::Drill ? "drill" : "stop", client->me, {head.entity}, entities_.known());
@@ -281,6 +374,17 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     std::copy_if(entities.begin(), end, std::back_inserter(wanted),
                  [&](const auto& entity) { return seen.insert(entity).second; });
     if (cause == StopCause::Drill && drillsTooMuch(client, head, wanted.size())) return;
+    if (cause == StopCause::Drill) {
+        const auto unseen = std::stable_partition(wanted.begin(), wanted.end(), [&](const auto& entity) {
+            return sees(*client, entity, Lane::Signal);
+        });
+        auto refused = head;
+        for (auto entity = unseen; entity != wanted.end(); ++entity) {
+            refused.entity = entity->substr(0, 64);
+            refuseUnknown(*client->signalOutbox(), refused);
+        }
+        wanted.erase(unseen, wanted.end());
+    }
     topic_.stopSignals(head, wanted, cause);
     const auto known = [&](const std::string& entity) { return entities_.has(entity, Lane::Signal); };
     const auto targets = std::count_if(wanted.begin(), wanted.end(), known);
@@ -309,6 +413,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
 
 void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
+    if (refuseUnseen(client, head)) return;
     topic_.resetSignal(head);
     log_.audit("reset", client->me, {head.entity}, entities_.known());
     flooded(client);
@@ -316,6 +421,7 @@ void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
 
 void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
+    if (refuseUnseen(client, head)) return;
     topic_.clearSignal(head);
     log_.audit("clear", client->me, {head.entity}, entities_.known());
     flooded(client);
@@ -331,6 +437,8 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
         const std::lock_guard lock(mutex_);
         if (!clients_.remove(client)) return;
         held = holdings_.of(client->me.id);
+        client->share->held -= client->entities.held();
+        if (!client->user.empty() && --client->share->sessions == 0) shares_.erase(client->user);
         gone_.remember(client->me, ending);
     }
     settlement_.settle(client->me, ending, held);
@@ -345,6 +453,79 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
           (held.empty()
                ? ""
                : "; it held " + std::to_string(held.size()) + (held.size() == 1 ? " entity" : " entities")));
+}
+
+/// What has become of the user, where that is less than this role.
+std::optional<std::string> FrontEndCore::lessThan(const std::string& user, Role role) const {
+    if (users_ == nullptr || user.empty()) return std::nullopt;
+    const auto now = users_->clientRole(user);
+    if (!now) return "the user '" + user + "' was removed";
+    if (*now < role) return "the role of the user '" + user + "' became " + toString(*now);
+    return std::nullopt;
+}
+
+/// Under the mutex: which of the entities that it holds it may no longer check out. What else it has asked of
+/// entities without having the right any more is given up.
+std::optional<std::string> FrontEndCore::lessBy(const Client& client, const users::Access& before,
+                                                const users::Access& now,
+                                                std::vector<std::pair<Sender, std::string>>& given_up) const {
+    const auto held = holdings_.of(client.me.id);
+    for (const auto& [entity, check_out] : client.entities.all()) {
+        const auto record = entities_.find(entity);
+        if (!record) continue;
+        const auto& name = record->registration.name;
+        const auto right = check_out ? EntityRight::CheckOut : EntityRight::See;
+        const auto allows = [&client, &record, right](const users::Access& access) {
+            const auto& its = record->registration;
+            return access.allows(client.user, client.me.role, right, its.entity, its.name);
+        };
+        if (allows(now) || !allows(before)) continue;
+        // Who waits for it would wait for ever.
+        if (held.contains(entity) || (check_out && record->status.waiting > 0))
+            return "the user '" + client.user + "' may no longer check out " + name;
+        given_up.emplace_back(client.me, entity);
+    }
+    return std::nullopt;
+}
+
+void FrontEndCore::usersChanged() {
+    if (users_ == nullptr) return;
+    const auto before = access(Lane::Data);
+    const auto now = users_->access();
+    for (auto& lane : access_) lane.store(now);
+    const bool others = *before != *now;
+    std::vector<std::pair<ClientRef, std::string>> less;
+    std::vector<std::pair<Sender, std::string>> given_up;
+    std::vector<ClientRef> stay;
+    Entities::Records records;
+    {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [id, client] : clients_.byId()) {
+            auto why = lessThan(client->user, client->me.role);
+            if (!why && others && !client->user.empty()) why = lessBy(*client, *before, *now, given_up);
+            if (why)
+                less.emplace_back(client, std::move(*why));
+            else if (others && !client->user.empty())
+                stay.push_back(client);
+        }
+        records = entities_.records();
+    }
+    for (const auto& [client, why] : less) leave(client, Ending::Lost, why);
+    for (const auto& [client, entity] : given_up) settlement_.tellGone(client, entity, Ending::Ended);
+    for (const auto& client : stay) {
+        auto told = records;
+        std::erase_if(told,
+                      [&](const auto& one) { return !sees(*client, *before, one.second->registration); });
+        pushAll(*client, std::move(told));
+    }
+}
+
+template <class Send>
+void FrontEndCore::toThoseWhoSee(const Registration& registration, Send&& send) {
+    const auto lists = access(Lane::Data);
+    clients_.to(Lane::Data, {}, [&](const Client& client, ClientOutbox& outbox) {
+        if (sees(client, *lists, registration)) send(outbox);
+    });
 }
 
 template <class Send>
@@ -365,8 +546,10 @@ void FrontEndCore::updateHolding(const std::string& holder) {
 void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registration,
                                          std::string_view profile) {
     std::optional<Entities::News> news;
+    Entities::RecordRef before;
     {
         const std::lock_guard lock(mutex_);
+        before = entities_.find(registration.entity);
         news = entities_.update(presence, std::move(registration), profile);
         if (!news) return;
         if (news->presence == Presence::Left)
@@ -374,8 +557,17 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
     }
     const auto& record = *news->record;
     const std::string_view bytes = news->presence == Presence::Left ? std::string_view() : *record.profile;
-    toClients(Lane::Data, {}, [&](ClientOutbox& client) {
-        client.newBasicPrflMsg(news->presence, record.registration, bytes);
+    const auto lists = access(Lane::Data);
+    clients_.to(Lane::Data, {}, [&](const Client& client, ClientOutbox& outbox) {
+        const bool now = sees(client, *lists, record.registration);
+        // Under its new name it may be on another list.
+        const bool earlier =
+            news->presence == Presence::Changed ? sees(client, *lists, before->registration) : now;
+        if (now && earlier) return outbox.newBasicPrflMsg(news->presence, record.registration, bytes);
+        if (earlier) return outbox.newBasicPrflMsg(Presence::Left, before->registration, {});
+        if (!now) return;
+        outbox.newBasicPrflMsg(Presence::Joined, record.registration, bytes);
+        if (record.heard) outbox.newStatusMsg(record.status);
     });
     if (news->disputed) ask({});
 }
@@ -383,7 +575,8 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
 /// Under the mutex: the entity names this holder no longer.
 void FrontEndCore::letGo(const std::string& holder, const std::string& entity) {
     if (holder.empty()) return;
-    if (const auto client = clients_.find(holder)) client->entities.setHeld(entity, false);
+    if (const auto client = clients_.find(holder); client && client->entities.setHeld(entity, false))
+        --client->share->held;
     holdings_.erase(holder, entity);
     updateHolding(holder);
 }
@@ -404,7 +597,7 @@ void FrontEndCore::forget(const std::string& server, const std::unordered_set<st
         for (const auto& record : left.records) letGo(record->status.holder.id, record->registration.entity);
     }
     for (const auto& record : left.records) {
-        toClients(Lane::Data, {}, [&](ClientOutbox& client) {
+        toThoseWhoSee(record->registration, [&](ClientOutbox& client) {
             client.newBasicPrflMsg(Presence::Left, record->registration, {});
         });
     }
@@ -448,12 +641,15 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     const bool busy = status.state == EntityState::BUSY;
     std::optional<GoneClients::Gone> late;
     std::string entity, doubted;
-    bool passed = false;  // to another holder, or to none
+    Registration registration;  // as far as lists ask for it
+    bool passed = false;        // to another holder, or to none
     {
         const std::lock_guard lock(mutex_);
         const auto record_before = entities_.update(status, number, via);
         if (!record_before) return;
         entity = status.entity;
+        registration.entity = entity;
+        registration.name = record_before->registration.name;
         const auto& before = record_before->status.holder.id;
         const auto& holder = status.holder.id;
         passed = before != holder;
@@ -465,7 +661,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
                 const bool asked =
                     client->entities.askedForCheckOut(entity) || AXON_PLANTED(UnaskedHolderBelieved);
                 if (!asked && before != holder) doubted = client->me.name;
-                client->entities.setHeld(entity, true);
+                if (client->entities.setHeld(entity, true)) ++client->share->held;
                 if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
             } else if (before != holder && !status.orphaned &&
                        (alone() || originOf(holder).server == settings_.name)) {
@@ -482,7 +678,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the
     // newest.
     while (true) {
-        toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
+        toThoseWhoSee(registration, [&](ClientOutbox& client) { client.newStatusMsg(status); });
         if (number == 0) return;
         const std::lock_guard lock(mutex_);
         const auto newest = entities_.find(entity);
@@ -494,6 +690,8 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
 
 void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
     clients_.to(lane, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {
+        // A receipt is never kept back.
+        if (lane == Lane::Data && !sees(client, head.entity, lane)) return;
         // An entity that a client has asked has its whole queue of the data lane: what that one sends it must
         // read. On the signal lane nobody waits for the lock of that.
         const bool whole = lane == Lane::Data && client.entities.asked(head.entity);
@@ -504,8 +702,9 @@ void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view mes
 }
 
 void FrontEndCore::entityMsgDataSeq(const Header& head, std::string_view data) {
-    toClients(Lane::Data, head.sender.id,
-              [&](ClientOutbox& client) { client.newEntityMsgDataSeq(head, data); });
+    clients_.to(Lane::Data, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {
+        if (sees(client, head.entity, Lane::Data)) outbox.newEntityMsgDataSeq(head, data);
+    });
 }
 
 void FrontEndCore::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {

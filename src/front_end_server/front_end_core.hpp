@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <unordered_map>
 #include <unordered_set>
+#include <utility>
 #include <vector>
 
 #include "common/clock.hpp"
@@ -13,6 +17,7 @@
 #include "common/other_servers.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
+#include "common/snapshot.hpp"
 #include "front_end_server/clients/clients.hpp"
 #include "front_end_server/clients/holdings.hpp"
 #include "front_end_server/endings/gone_clients.hpp"
@@ -21,6 +26,7 @@
 #include "front_end_server/log/client_log.hpp"
 #include "front_end_server/ports/core_settings.hpp"
 #include "front_end_server/ports/ports.hpp"
+#include "users/present_users.hpp"
 
 namespace axon::front_end_server {
 
@@ -46,6 +52,10 @@ inline constexpr std::size_t kStopsAtOnce = 8192;
 /// whole. An entity belongs to the server that announced its joining last. As it knows all entities it
 /// refuses what is for none; a stop is passed on all the same.
 ///
+/// Who may see, check out, take over and rearm an entity, the lists of users.cfg say (users::Access); they
+/// are asked here, before anything is routed, and for what comes back on the data lane. No stop is ever kept
+/// back by a list, and no receipt.
+///
 /// Parts: Clients, Entities, Holdings and GoneClients have its state; Settlement tells entities that a client
 /// is gone, and ClientLog people what clients do.
 ///
@@ -59,15 +69,16 @@ class FrontEndCore {
     using ClientRef = front_end_server::ClientRef;
     using Note = std::function<void(const std::string& line)>;
 
-    /// `global_services`, `trail`: null where there are none.
+    /// `global_services`, `trail`, `users`: null where there are none.
     FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
                  Note note, std::function<void()> wake, GlobalServicesPort* global_services = nullptr,
-                 audit::AuditTrail* trail = nullptr);
+                 audit::AuditTrail* trail = nullptr, const users::PresentUsers* users = nullptr);
     ~FrontEndCore();
 
     // From a client.
     /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
-    /// login; `user` is empty where the login names none, and each session then counts for itself.
+    /// login; `user` is empty where the login names none, and each session then counts for itself. Refused
+    /// where the users have changed since, and the user has no longer this role.
     Result<ClientRef> setCallback(const std::string& display_name, Role role,
                                   std::shared_ptr<ClientOutbox> data, const std::string& user = {});
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
@@ -103,6 +114,12 @@ class FrontEndCore {
     /// The topic has been found, or found again. Messages published in between were not received here.
     void topicFound();
 
+    /// The users, or the lists of entities, are others now. Whoever is none of them, has a lower role than in
+    /// its session, or holds an entity that it may no longer check out, is lost: its robots stop as for any
+    /// client that is lost. Who has a higher role gets it with the next session. Clients are told of the
+    /// entities that they see now, and that those have left which they see no more.
+    void usersChanged();
+
     /// Gives up silent clients and sends heartbeats; returns when it wants to be called again.
     TimePoint onTimer();
     /// Tells every client that the server is shutting down.
@@ -120,11 +137,26 @@ class FrontEndCore {
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
-    Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);
-    std::size_t pushAll(ClientOutbox& to);
+    Result<void> mayGoOn(Client& client, Header& head, std::size_t bytes, bool droppable);
+    std::shared_ptr<UserShare> shareOf(const std::string& user);
+    std::size_t pushAll(const Client& client, Entities::Records told = {});
+    std::shared_ptr<const users::Access> access(Lane lane) const {
+        return access_[static_cast<std::size_t>(lane)].load();
+    }
+    static bool sees(const Client& client, const users::Access& access, const Registration& registration);
+    bool sees(const Client& client, const std::string& entity, Lane lane) const;
+    Result<void> mayByLists(const Client& client, Header& head, Lane lane) const;
+    bool refuseUnseen(const ClientRef& client, const Header& head);
+    std::size_t drillAll(const Client& client, const Header& head);
+    std::optional<std::string> lessBy(const Client& client, const users::Access& before,
+                                      const users::Access& now,
+                                      std::vector<std::pair<Sender, std::string>>& given_up) const;
+    template <class Send>
+    void toThoseWhoSee(const Registration& registration, Send&& send);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
     void ask(const std::string& server);
+    std::optional<std::string> lessThan(const std::string& user, Role role) const;
     void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
 
@@ -135,6 +167,7 @@ class FrontEndCore {
     const Note note_;
     const std::function<void()> wake_;
     GlobalServicesPort* const global_services_;
+    const users::PresentUsers* const users_;
 
     Settlement settlement_;
 
@@ -142,6 +175,7 @@ class FrontEndCore {
 
     OtherServers others_;
     OtherServers::Group& entity_servers_;
+    std::array<Snapshot<users::Access>, 2> access_;  // of each lane
     // Guarded by mutex_, but for what routing needs:
     Clients clients_;
     Entities entities_;
@@ -150,6 +184,7 @@ class FrontEndCore {
     // Guarded by mutex_:
     Holdings holdings_;
     GoneClients gone_;
+    std::unordered_map<std::string, std::shared_ptr<UserShare>> shares_;  // of users who have a session
 };
 
 }  // namespace axon::front_end_server

@@ -8,10 +8,12 @@
 #include <cstdlib>
 #include <map>
 #include <new>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "common/rights.hpp"
 #include "support/recorded_audit.hpp"
 
 // Counted, so that the cost of a join is known without a clock.
@@ -82,6 +84,7 @@ class FakeTopic final : public EntityTopic {
     Result<void> clientMsg(const std::string& server, const Header& head, std::string_view message) override {
         if (down) return Refusal{RefusalCode::NotConnected, "down", {}};
         at = server;
+        role = head.sender.role;
         lines.push_back(head.sender.name + " to " + head.entity + " " + std::string(message));
         return {};
     }
@@ -118,11 +121,35 @@ class FakeTopic final : public EntityTopic {
     std::vector<std::string> lines;
     std::vector<std::int64_t> numbers;  // of stops
     bool down = false;
-    std::string at;  // whose the entity of the last message was
+    std::string at;              // whose the entity of the last message was
+    Role role = Role::Observer;  // of its sender
     int beats = 0;
     int announcements = 0;
     ServerAnnouncement announced;
     std::vector<std::string> reached;
+};
+
+class FakeUsers final : public users::PresentUsers {
+  public:
+    std::optional<Role> clientRole(const std::string& user) const override {
+        const auto its = roles.find(user);
+        return its == roles.end() ? Role::Admin : its->second;
+    }
+    bool mayBeEntityManager(const std::string&) const override { return false; }
+    std::shared_ptr<const users::Access> access() const override { return lists; }
+    /// Lines of a file of users, without their '@'.
+    void list(const std::vector<std::vector<std::string_view>>& lines) {
+        auto next = std::make_shared<users::Access>();
+        for (auto words : lines) {
+            const auto first = "@" + std::string(words.at(0));
+            words[0] = first;
+            EXPECT_EQ(next->add(words), "");
+        }
+        lists = next;
+    }
+
+    std::shared_ptr<const users::Access> lists = std::make_shared<users::Access>();
+    std::map<std::string, std::optional<Role>> roles;  ///< of the others it is Admin
 };
 
 class FrontEndTest : public testing::Test {
@@ -133,9 +160,9 @@ class FrontEndTest : public testing::Test {
         FrontEndCore::ClientRef client;
         std::string id() const { return FrontEndCore::me(*client).id; }
     };
-    Peer join(const std::string& name = "client1") {
+    Peer join(const std::string& name = "client1", const std::string& user = {}, Role role = Role::Operator) {
         Peer peer;
-        peer.client = core.setCallback(name, Role::Operator, peer.data).value();
+        peer.client = core.setCallback(name, role, peer.data, user).value();
         EXPECT_TRUE(core.attach(FrontEndCore::token(*peer.client), peer.signal).ok());
         here.emplace(peer.id(), peer.client);
         return peer;
@@ -188,9 +215,10 @@ class FrontEndTest : public testing::Test {
     std::map<std::string, FrontEndCore::ClientRef> here;
     FrontEndCoreSettings settings;
     test::RecordedAudit trail;
+    FakeUsers users;
     FrontEndCore core{
         settings, clock,   random, topic, [this](const std::string& line) { notes.push_back(line); },
-        [] {},    nullptr, &trail};
+        [] {},    nullptr, &trail, &users};
 };
 
 TEST_F(FrontEndTest, TellsAClientWhoIsThereAndWhatChanges) {
@@ -373,6 +401,344 @@ TEST(FrontEndLocks, SignsOfLifeAndStopsDoNotWaitForTheMonitor) {
     };
     ASSERT_TRUE(core.setCallback("eve", Role::Operator, std::make_shared<FakeOutbox>()).ok());
     EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1"));
+}
+
+TEST_F(FrontEndTest, AUserWhoIsRemovedIsLostAndTheRobotsStop) {
+    entity("e1");
+    const auto ann = join("tablet", "ann");
+    const auto bob = join("laptop", "bob");
+    status("e1", EntityState::BUSY, ann.id());
+    topic.take();
+    core.usersChanged();
+    EXPECT_EQ(core.clients(), 2U);  // nobody has less than before
+    users.roles["ann"] = std::nullopt;
+    core.usersChanged();
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by tablet to e1", "lost to e1"));
+    EXPECT_TRUE(ann.data->disconnected);
+    EXPECT_TRUE(ann.signal->disconnected);
+    EXPECT_FALSE(bob.data->disconnected);
+    EXPECT_THAT(notes.back(),
+                HasSubstr("client tablet is lost: the user 'ann' was removed; it held 1 entity"));
+    // What it sends from now on goes nowhere.
+    EXPECT_EQ(
+        core.setCallback("tablet", Role::Operator, std::make_shared<FakeOutbox>(), "ann").refusal().code,
+        RefusalCode::PermissionDenied);
+}
+
+TEST_F(FrontEndTest, AUserWhoseRoleIsLowerIsLostAndOneWhoseRoleIsHigherStays) {
+    const auto ann = join("tablet", "ann", Role::Admin);
+    const auto bob = join("laptop", "bob", Role::Observer);
+    const auto nobody = join("without users");
+    users.roles = {{"ann", Role::Operator}, {"bob", Role::Admin}};
+    core.usersChanged();
+    EXPECT_TRUE(ann.data->disconnected);
+    EXPECT_FALSE(bob.data->disconnected);
+    EXPECT_EQ(FrontEndCore::me(*bob.client).role, Role::Observer);
+    EXPECT_FALSE(nobody.data->disconnected);
+    EXPECT_THAT(notes.back(), HasSubstr("the role of the user 'ann' became operator"));
+    // One that was logged in before the change, and comes after it.
+    EXPECT_THAT(
+        core.setCallback("tablet", Role::Admin, std::make_shared<FakeOutbox>(), "ann").refusal().message,
+        HasSubstr("log in again"));
+    EXPECT_TRUE(core.setCallback("tablet", Role::Operator, std::make_shared<FakeOutbox>(), "ann").ok());
+}
+
+// The rows of the table of rights, each role, and each combination of what lists keep back.
+TEST_F(FrontEndTest, ListsKeepBackWhatTheTableOfRightsSays) {
+    entity("e1");
+    entity("e2");
+    for (const auto role : {Role::Observer, Role::Operator, Role::Admin}) {
+        for (unsigned kept_back = 0; kept_back < 16; ++kept_back) {
+            std::vector<std::vector<std::string_view>> lines;
+            const auto has = [&](EntityRight right) {
+                return (kept_back & (1U << static_cast<unsigned>(right))) == 0;
+            };
+            for (const auto right : kEntityRights)
+                if (!has(right)) lines.push_back({toString(right), "e1", "-"});
+            users.list(lines);
+            core.usersChanged();
+            const auto peer = join("client", "ann", role);
+            const bool sees = has(EntityRight::See);
+            EXPECT_EQ(testing::Value(peer.data->take(), Contains("joined e1")), sees);
+            for (const auto& right : rights()) {
+                SCOPED_TRACE(std::string(right.msg_type) + " as " + toString(role) + " without " +
+                             std::to_string(kept_back));
+                peer.data->take();
+                peer.signal->take();
+                topic.take();
+                auto head = to("e1");
+                head.msg_type = right.msg_type;
+                if (right.msg_type == kStopOperation) {
+                    core.sendStopSignal(peer.client, head, StopCause::Requested);
+                    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client to e1"));
+                    EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 1"));
+                    continue;
+                }
+                if (right.number == 0) {
+                    const bool resets = right.msg_type == kResetOperation;
+                    resets ? core.sendResetSignal(peer.client, head)
+                           : core.sendClearSignal(peer.client, head);
+                    EXPECT_EQ(topic.take().size(), sees ? 1U : 0U);
+                    EXPECT_EQ(peer.signal->take(), sees ? std::vector<std::string>{}
+                                                        : std::vector<std::string>{"refused UNKNOWN_ENTITY"});
+                    continue;
+                }
+                if (right.who == Who::Nobody) continue;
+                core.sendToEntity(peer.client, head, "message");
+                // RUN and RESOURCE have two rows each, and need the same.
+                const bool may = sees && (!right.needs || has(*right.needs));
+                EXPECT_EQ(peer.data->take(), may     ? std::vector<std::string>{}
+                                             : !sees ? std::vector<std::string>{"refused UNKNOWN_ENTITY"}
+                                                     : std::vector<std::string>{"refused PERMISSION_DENIED"});
+                EXPECT_EQ(topic.take().size(), may ? 1U : 0U);
+                if (!may) continue;
+                const bool tamed = right.msg_type == kMsgCheckOut && !has(EntityRight::Force);
+                EXPECT_EQ(topic.role, tamed ? std::min(role, Role::Operator) : role);
+                // As droppable data the same is let through and kept back, without a word.
+                core.sendToEntityDataSeq(peer.client, head, "message");
+                EXPECT_EQ(topic.take().size(), 1U);
+            }
+            peer.data->take();
+            topic.take();
+            auto other = to("e2");
+            other.msg_type = kMsgCheckOut;
+            core.sendToEntity(peer.client, other, "message");
+            EXPECT_THAT(topic.take(), SizeIs(1));
+            core.leave(peer.client, Ending::Ended, "");
+        }
+    }
+}
+
+TEST_F(FrontEndTest, AnEntityThatIsNotSeenIsNotThereForItsClient) {
+    users.list({{"see", "e1", "bob"}});
+    core.usersChanged();
+    entity("e1");
+    entity("e2");
+    status("e1", EntityState::IDLE);
+    const auto ann = join("tablet", "ann");
+    const auto bob = join("laptop", "bob");
+    EXPECT_THAT(ann.data->take(), ElementsAre("joined e2"));
+    EXPECT_THAT(bob.data->take(), UnorderedElementsAre("joined e1", "e1 IDLE", "joined e2"));
+    status("e1", EntityState::UNAV);
+    Header head;
+    head.entity = "e1";
+    head.sender.id = ann.id();
+    core.entityMsg(Lane::Data, head, "answer");
+    core.entityMsgDataSeq(head, "samples");
+    Header all;
+    all.msg_type = kMsgStatus;
+    core.sendRequest(ann.client, all, {});
+    core.entityBasicPrflUpdate(Presence::Left, {"e1"}, {});
+    EXPECT_THAT(ann.data->take(), ElementsAre("joined e2"));
+    EXPECT_THAT(bob.data->take(), ElementsAre("e1 UNAV", "left e1"));
+    // The same text as of one that is not there.
+    const auto refusal = [&](const std::string& name) {
+        ann.data->take();
+        core.sendToEntity(ann.client, to(name), "text");
+        return ann.data->take();
+    };
+    EXPECT_THAT(refusal("e1"), ElementsAre("refused UNKNOWN_ENTITY"));
+    EXPECT_EQ(refusal("e9"), refusal("e1"));
+}
+
+// Also of what its sender does not see: whoever stands beside a robot must be able to stop it.
+TEST_F(FrontEndTest, NoStopAndNoReceiptIsKeptBack) {
+    users.list({{"see", "*", "bob"}});
+    core.usersChanged();
+    entity("e1");
+    entity("e2");
+    const auto ann = join("tablet", "ann", Role::Observer);
+    core.sendStopSignal(ann.client, to(""), StopCause::Requested);
+    core.sendStopSignal(ann.client, to("e1"), StopCause::Requested);
+    core.sendStopSignals(ann.client, to(""), {"e1", "e2"}, StopCause::Requested);
+    EXPECT_THAT(topic.take(),
+                ElementsAre("stop (requested) by tablet to ", "stop (requested) by tablet to e1",
+                            "stop (requested) by tablet to e1 e2"));
+    EXPECT_THAT(ann.signal->take(), ElementsAre("stop accepted 2", "stop accepted 1", "stop accepted 2"));
+    Header head;
+    head.entity = "e1";
+    head.sender.id = ann.id();
+    core.entityMsg(Lane::Signal, head, "receipt");
+    EXPECT_THAT(ann.signal->take(), ElementsAre("msg receipt"));
+}
+
+TEST_F(FrontEndTest, DrillsGoOnlyToWhatIsSeen) {
+    users.list({{"see", "e1", "bob"}});
+    core.usersChanged();
+    for (const auto* id : {"e1", "e2"}) entity(id);
+    const auto ann = join("tablet", "ann");
+    core.sendStopSignal(ann.client, to(""), StopCause::Drill);
+    core.sendStopSignal(ann.client, to("e1"), StopCause::Drill);
+    core.sendStopSignals(ann.client, to(""), {"e1", "e2"}, StopCause::Drill);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (drill) by tablet to e2", "stop (drill) by tablet to e2"));
+    EXPECT_THAT(ann.signal->take(), ElementsAre("stop accepted 1", "refused UNKNOWN_ENTITY",
+                                                "refused UNKNOWN_ENTITY", "stop accepted 1"));
+}
+
+TEST_F(FrontEndTest, ClientsAreToldWhatTheySeeAfterTheListsHaveChanged) {
+    entity("e1");
+    entity("e2");
+    status("e1", EntityState::IDLE);
+    const auto ann = join("tablet", "ann");
+    const auto nobody = join("without users");
+    ann.data->take();
+    nobody.data->take();
+    users.list({{"see", "e1", "bob"}});
+    core.usersChanged();
+    EXPECT_THAT(ann.data->take(), ElementsAre("left e1"));
+    core.usersChanged();
+    EXPECT_THAT(ann.data->take(), IsEmpty());
+    users.list({{"see", "e2", "bob"}});
+    core.usersChanged();
+    EXPECT_THAT(ann.data->take(), UnorderedElementsAre("joined e1", "e1 IDLE", "left e2"));
+    EXPECT_THAT(nobody.data->take(), IsEmpty());
+    EXPECT_EQ(core.clients(), 2U);
+}
+
+TEST_F(FrontEndTest, WhoHoldsWhatItMayNoLongerCheckOutIsLost) {
+    entity("e1");
+    entity("e2");
+    const auto ann = join("tablet", "ann");
+    const auto bob = join("laptop", "bob");
+    status("e1", EntityState::BUSY, ann.id());
+    status("e2", EntityState::IDLE);
+    ask(bob.client, "e2");  // and it was given back
+    topic.take();
+    users.list({{"rearm", "*", "-"}});
+    core.usersChanged();
+    EXPECT_EQ(core.clients(), 2U);
+    users.list({{"checkout", "*", "-"}});
+    core.usersChanged();
+    EXPECT_TRUE(ann.data->disconnected);
+    EXPECT_FALSE(bob.data->disconnected);
+    EXPECT_THAT(topic.take(),
+                UnorderedElementsAre("stop (client lost) by tablet to e1", "lost to e1", "ended to e2"));
+    EXPECT_THAT(notes.back(), HasSubstr("the user 'ann' may no longer check out e1"));
+}
+
+TEST_F(FrontEndTest, AnEntityIsOnTheListOfItsPresentName) {
+    users.list({{"see", "secret*", "bob"}});
+    core.usersChanged();
+    entity("e1");
+    const auto ann = join("tablet", "ann");
+    ann.data->take();
+    const auto renamed = [&](const std::string& name) {
+        Registration registration;
+        registration.entity = "e1";
+        registration.name = name;
+        core.entityBasicPrflUpdate(Presence::Changed, registration, "profile");
+        return ann.data->take();
+    };
+    EXPECT_THAT(renamed("arm"), ElementsAre("changed arm"));
+    EXPECT_THAT(renamed("secret arm"), ElementsAre("left arm"));
+    core.sendToEntity(ann.client, to("e1"), "text");
+    EXPECT_THAT(ann.data->take(), ElementsAre("refused UNKNOWN_ENTITY"));
+    EXPECT_THAT(renamed("arm"), ElementsAre("joined arm"));
+}
+
+class LimitedUsers : public FrontEndTest {
+  protected:
+    LimitedUsers() {
+        FrontEndCoreSettings few;
+        few.user_sessions = 2;
+        few.user_check_outs = 2;
+        few.user_messages_per_second = 10;
+        few.user_bytes_per_second = 1000;
+        limited.emplace(
+            few, clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {});
+    }
+    Peer enter(const std::string& user) {
+        Peer peer;
+        peer.client = limited->setCallback("c", Role::Operator, peer.data, user).value();
+        return peer;
+    }
+    void send(const Peer& peer, const std::string& entity, const char* type = kMsgText,
+              std::string_view bytes = "message") {
+        auto head = to(entity);
+        head.msg_type = type;
+        limited->sendToEntity(peer.client, head, bytes);
+    }
+    void hold(const std::string& id, const std::string& holder) {
+        EntityStatus now;
+        now.entity = id;
+        now.state = EntityState::COLLAB;
+        now.holder = {holder, holder, Role::Operator};
+        limited->entityUpdate(now);
+    }
+    std::optional<FrontEndCore> limited;
+};
+
+TEST_F(LimitedUsers, AUserHasSoManySessions) {
+    const auto first = enter("ann");
+    enter("ann");
+    const auto refused = limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "ann");
+    EXPECT_EQ(refused.refusal().code, RefusalCode::Overloaded);
+    EXPECT_THAT(refused.refusal().message, HasSubstr("the user 'ann' has 2 sessions"));
+    enter("bob");
+    for (int i = 0; i < 5; ++i) enter("");
+    limited->leave(first.client, Ending::Ended, "");
+    limited->leave(first.client, Ending::Lost, "");
+    enter("ann");
+    EXPECT_FALSE(limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "ann").ok());
+}
+
+TEST_F(LimitedUsers, AUserHoldsSoManyEntitiesInAllSessions) {
+    for (const auto* id : {"e1", "e2", "e3"}) {
+        Registration registration;
+        registration.entity = registration.name = id;
+        limited->entityBasicPrflUpdate(Presence::Joined, registration, "profile");
+    }
+    const auto first = enter("ann"), second = enter("ann"), bob = enter("bob");
+    send(first, "e1", kMsgCheckOut);
+    hold("e1", first.id());
+    send(second, "e2", kMsgCheckOut);
+    hold("e2", second.id());
+    hold("e2", second.id());  // told again, and counted once
+    topic.take();
+    second.data->take();
+    send(second, "e3", kMsgCheckOut);
+    EXPECT_THAT(second.data->take(), ElementsAre("refused OVERLOADED"));
+    EXPECT_THAT(topic.take(), IsEmpty());
+    send(first, "e1", kMsgCheckOut);  // what it holds
+    send(bob, "e3", kMsgCheckOut);
+    EXPECT_THAT(topic.take(), SizeIs(2));
+    hold("e1", "");
+    send(second, "e3", kMsgCheckOut);
+    EXPECT_THAT(topic.take(), SizeIs(1));
+    hold("e1", first.id());
+    limited->leave(second.client, Ending::Ended, "");
+    topic.take();
+    send(first, "e3", kMsgCheckOut);
+    EXPECT_THAT(topic.take(), SizeIs(1));
+}
+
+TEST_F(LimitedUsers, AUserSendsSoMuchInASecondInAllSessions) {
+    const auto first = enter("ann"), second = enter("ann"), bob = enter("bob");
+    for (int i = 0; i < 5; ++i) {
+        send(first, "e1");
+        send(second, "e1");
+    }
+    EXPECT_THAT(topic.take(), SizeIs(10));
+    send(second, "e1");
+    EXPECT_THAT(second.data->take(), ElementsAre("refused OVERLOADED"));
+    // A stop is never refused for what else is sent.
+    limited->sendStopSignal(second.client, to("e1"), StopCause::Requested);
+    send(bob, "e1");
+    EXPECT_THAT(topic.take(), SizeIs(2));
+    clock.advance(1s);
+    send(second, "e1");
+    EXPECT_THAT(topic.take(), SizeIs(1));
+    clock.advance(1s);
+    const std::string half(600, 'x');
+    send(first, "e1", kMsgText, half);
+    auto raw = to("e1");
+    raw.msg_type = kMsgRaw;
+    limited->sendToEntityDataSeq(second.client, raw, half);
+    EXPECT_THAT(topic.take(), SizeIs(2));
+    send(first, "e1", kMsgText, half);
+    EXPECT_THAT(first.data->take(), ElementsAre("refused OVERLOADED"));
+    limited->sendToEntityDataSeq(second.client, raw, half);
+    EXPECT_THAT(topic.take(), IsEmpty());
 }
 
 TEST_F(FrontEndTest, TheSenderIsTheSessionsNeverThePeers) {

@@ -13,13 +13,15 @@ struct FrontEndServer::Parts {
     Parts(const FrontEndServerSettings& settings, const std::shared_ptr<Ice::Communicator>& data,
           const std::shared_ptr<Ice::Communicator>& signal, const Clock& its_clock, RandomSource& random,
           FrontEndCore::Note note)
-        : topic(data, settings.topic_signals,
-                [this](const Header& head, const Refusal& refusal) {
-                    core.entityRefusal(Lane::Data, head, refusal);
-                }),
+        : topic(
+              data, settings.topic_signals,
+              [this](const Header& head, const Refusal& refusal) {
+                  core.entityRefusal(Lane::Data, head, refusal);
+              },
+              settings.links),
           core(
               settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),
-              [this] { rim.wake(); }, settings.global_services, settings.audit),
+              [this] { rim.wake(); }, settings.global_services, settings.audit, settings.users),
           rim(core, topic, settings, data, signal, its_clock),
           clock(its_clock) {}
 

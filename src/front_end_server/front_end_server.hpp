@@ -17,8 +17,9 @@ class Communicator;
 }
 
 namespace axon::transport {
+class LinkTrust;
 class Logins;
-}
+}  // namespace axon::transport
 
 namespace axon::front_end_server {
 
@@ -33,6 +34,8 @@ struct FrontEndServerSettings {
     GlobalServicesPort* global_services = nullptr;
     /// Where it is recorded what clients do. Outlives end(). Null: nowhere.
     audit::AuditTrail* audit = nullptr;
+    /// Who may be here at this moment. Outlives end(). Null: there are no users.
+    const users::PresentUsers* users = nullptr;
     /// Where Glacier2 routers ask for passwords and sessions (FrontEndServerRouter); empty: none may.
     std::string router_endpoint = {};
     /// Of this server, where there are several; letters, digits, '-', '_' and '.'.
@@ -47,6 +50,9 @@ struct FrontEndServerSettings {
     std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::shared_ptr<Ice::Communicator> topic_signals;
+    /// Of one of several whose links to the others are under TLS. Outlives the communicators. Null: they are
+    /// plain.
+    transport::LinkTrust* links = nullptr;
     /// Looks after the connections of peers from activate() on. Needed; outlives the server.
     transport::ConnectionLimits* limits = nullptr;
 };

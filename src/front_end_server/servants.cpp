@@ -93,9 +93,10 @@ Refusal topicDown() {
 
 IceEntityTopic::IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
                                const std::shared_ptr<Ice::Communicator>& signal,
-                               std::function<void(const Header&, const Refusal&)> lost)
+                               std::function<void(const Header&, const Refusal&)> lost,
+                               transport::LinkTrust* links)
     : lost_([lost = std::move(lost)](const Header& head) { lost(head, topicDown()); }),
-      publisher_(data, signal, "front-end server") {}
+      publisher_(data, signal, "front-end server", links, certificates::Kind::EntityServer) {}
 
 void IceEntityTopic::end() {
     publisher_.publishTo({});  // what still waits there is refused while there is a core to do it
@@ -246,7 +247,8 @@ void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence pre
     core_.entityBasicPrflUpdate(fromIce(presence), fromIce(std::move(registration)), toView(profile));
 }
 void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, double number,
-                                           const Ice::Current&) {
+                                           const Ice::Current& current) {
+    if (links_ != nullptr && !links_->speaksAs(current, status.server, "tells of an entity of")) return;
     core_.entityUpdate(fromIce(std::move(status)), transport::whole(number), via_);
 }
 void EntityToFrontEndServant::entityMsg(Axon::CommUtil::Lane lane, IceHeader head, ByteRange message,
@@ -266,7 +268,8 @@ void EntityToFrontEndServant::entityServerEntities(std::string server, Axon::Com
     core_.entityServerEntities(server, entities);
 }
 void EntityToFrontEndServant::entityServerUpdate(Axon::CommUtil::ServerAnnouncement server,
-                                                 const Ice::Current&) {
+                                                 const Ice::Current& current) {
+    if (links_ != nullptr && !links_->speaksAs(current, server.name, transport::kAnnounced)) return;
     core_.entityServerUpdate(lane_, fromIce(std::move(server)));
 }
 

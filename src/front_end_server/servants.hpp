@@ -3,11 +3,14 @@
 #include <axon/entitycomm.h>
 #include <axon/frontendcomm.h>
 
+#include <array>
 #include <memory>
 #include <string>
+#include <string_view>
 
 #include "front_end_server/front_end_core.hpp"
 #include "front_end_server/ports/ports.hpp"
+#include "transport/ice/link_trust.hpp"
 #include "transport/sessions/lane_session.hpp"
 #include "transport/sessions/peer_sender.hpp"
 #include "transport/sessions/router_servants.hpp"
@@ -46,7 +49,7 @@ class IceEntityTopic final : public EntityTopic {
     /// that found nobody after it was taken; any thread.
     IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
                    const std::shared_ptr<Ice::Communicator>& signal,
-                   std::function<void(const Header&, const Refusal&)> lost);
+                   std::function<void(const Header&, const Refusal&)> lost, transport::LinkTrust* links);
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& entity_servers) { publisher_.publishTo(entity_servers); }
     /// Before anything is published: where this server takes signals and messages directly.
@@ -146,7 +149,13 @@ class ClientGateServant final : public Axon::FrontEndComm::ClientGate {
 /// Listens to the entity servers on one lane (thesis figure 3.14).
 class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {
   public:
-    EntityToFrontEndServant(FrontEndCore& core, Lane lane, Via via) : core_(core), lane_(lane), via_(via) {}
+    /// Who calls straight.
+    static constexpr std::array kCallers{certificates::Kind::EntityServer};
+    static certificates::Kind callerOf(std::string_view) { return certificates::Kind::EntityServer; }
+
+    /// `links`: of what comes straight over TLS, where each server speaks for itself only; else null.
+    EntityToFrontEndServant(FrontEndCore& core, Lane lane, Via via, transport::LinkTrust* links)
+        : core_(core), lane_(lane), via_(via), links_(links) {}
     void entityBasicPrflUpdate(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
                                transport::ByteRange profile, const Ice::Current&) override;
     void entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) override;
@@ -164,6 +173,7 @@ class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndC
     FrontEndCore& core_;
     const Lane lane_;
     const Via via_;
+    transport::LinkTrust* const links_;
 };
 
 /// What is the front-end server's own of its ServerRim.
@@ -175,6 +185,7 @@ struct ClientSessions {
     using Gate = ClientGateServant;
     using Listener = EntityToFrontEndServant;
     static constexpr const char* kServer = "FrontEndServer";
+    static constexpr auto kCertificate = certificates::Kind::FrontEnd;
     static constexpr const char* kPeer = "a client";
     static constexpr const char* kGate = "ClientGate";
     static constexpr const char* kTimer = "axon-fe-timer";

@@ -2,7 +2,6 @@
 #include "global_services/services_folder.hpp"
 
 #include <axon/messages.pb.h>
-#include <sys/stat.h>
 
 #include <algorithm>
 #include <cstdint>
@@ -13,6 +12,7 @@
 
 #include "common/snapshot.hpp"
 #include "common/utf8.hpp"
+#include "host/file_mark.hpp"
 #include "messages/profile_reader.hpp"
 #include "messages/text.hpp"
 #include "messages/xml_document.hpp"
@@ -71,25 +71,16 @@ class ServicesFolder::Contents {
     std::shared_ptr<const proto::GlobalServices> services() const { return services_.load(); }
 
   private:
-    /// What tells that a file is another one than before.
-    struct Mark {
-        std::uint64_t device = 0;
-        std::uint64_t inode = 0;
-        std::int64_t size = 0;
-        std::int64_t modified_ns = 0;
-        std::int64_t changed_ns = 0;
-        bool operator==(const Mark&) const = default;
-    };
     struct File {
-        Mark mark;
+        FileMark mark;
         bool settled = false;  ///< read again after a look at which nothing had changed
         proto::GlobalProfile profile;
         std::vector<Finding> findings;
         std::vector<int> lines;  ///< of each service of the profile
     };
 
-    std::map<std::string, Mark> list();
-    File read(const std::string& name, const Mark& mark) const;
+    std::map<std::string, FileMark> list();
+    File read(const std::string& name, const FileMark& mark) const;
     void publish();
     void say(const proto::GlobalServicesFile& file) const;
 
@@ -105,21 +96,15 @@ class ServicesFolder::Contents {
     bool there_ = false;                       // it has been read: many servers never have one
 };
 
-std::map<std::string, ServicesFolder::Contents::Mark> ServicesFolder::Contents::list() {
-    std::map<std::string, Mark> found;
+std::map<std::string, FileMark> ServicesFolder::Contents::list() {
+    std::map<std::string, FileMark> found;
     std::error_code failure;
     std::string trouble;
     for (std::filesystem::directory_iterator entry(folder_, failure), end; !failure && entry != end;
          entry.increment(failure)) {
         const auto name = entry->path().filename().string();
-        struct stat status {};
-        if (name.starts_with('.') || entry->path().extension() != ".xml" ||
-            ::stat(entry->path().c_str(), &status) != 0 || !S_ISREG(status.st_mode))
-            continue;
-        const auto ns = [](const timespec& time) {
-            return std::int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
-        };
-        found[name] = {status.st_dev, status.st_ino, status.st_size, ns(status.st_mtim), ns(status.st_ctim)};
+        if (name.starts_with('.') || entry->path().extension() != ".xml") continue;
+        if (const auto mark = FileMark::of(entry->path().c_str())) found[name] = *mark;
     }
     if (failure == std::errc::no_such_file_or_directory) {
         if (there_) trouble = folder_.string() + " is gone; no global services are offered";
@@ -152,7 +137,7 @@ void ServicesFolder::Contents::look() {
 }
 
 ServicesFolder::Contents::File ServicesFolder::Contents::read(const std::string& name,
-                                                              const Mark& mark) const {
+                                                              const FileMark& mark) const {
     File file;
     file.mark = mark;
     const auto text = readProfileText(folder_ / name, validUtf8(name));

@@ -25,10 +25,11 @@ class ConsoleDeskTest : public testing::Test {
   protected:
     explicit ConsoleDeskTest(bool has_users = true)
         : logins(
-              has_users ? std::optional(Users::parse("watcher observer " + kHash + "\nboss admin " + kHash +
-                                                         "\nleft entity " + kHash,
-                                                     "users.cfg"))
-                        : std::nullopt,
+              has_users
+                  ? std::make_shared<const users::Users>(users::Users::parse(
+                        "watcher observer " + kHash + "\nboss admin " + kHash + "\nleft entity " + kHash,
+                        "users.cfg"))
+                  : nullptr,
               clock, [](const auto&) {}, [](const auto&, const auto&) { return ::geteuid(); }, &trail),
           desk(logins, has_users, visitors, [this](const std::string& line) { notes.push_back(line); }) {
         desk.setSites(console::Sites({false, 10417, 10418, 10419, {}, {"https://lab.example"}}));
@@ -147,7 +148,7 @@ TEST(ConsoleDeskBounds, SoManyLogInsWaitAndNoMore) {
     std::promise<void> go, all;
     const auto gone = go.get_future().share();
     LoginDesk logins(
-        std::nullopt, clock, [](const auto&) {},
+        nullptr, clock, [](const auto&) {},
         [gone](const auto&, const auto&) {
             gone.wait();
             return ::geteuid();

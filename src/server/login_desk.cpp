@@ -5,6 +5,7 @@
 #include <sodium.h>
 #include <unistd.h>
 
+#include <new>
 #include <stdexcept>
 #include <utility>
 
@@ -16,6 +17,7 @@ namespace axon::server {
 using transport::LoggedIn;
 using transport::LoginRequest;
 using transport::PeerCertificate;
+using users::UserRole;
 
 namespace {
 
@@ -33,13 +35,14 @@ std::string cut(const std::string& name) {
 
 }  // namespace
 
-LoginDesk::LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of,
-                     audit::AuditTrail* trail)
-    : users_(std::move(users)),
+LoginDesk::LoginDesk(std::shared_ptr<const users::Users> users, const Clock& clock, Note note,
+                     OwnerOf owner_of, audit::AuditTrail* trail)
+    : has_users_(users != nullptr),
       note_(std::move(note)),
       owner_of_(std::move(owner_of)),
       trail_(audit::orNone(trail)),
-      guard_(clock) {
+      guard_(clock),
+      users_(std::move(users)) {
     if (sodium_init() < 0)
         throw std::runtime_error("libsodium cannot be used: the kernel gives no random bytes");
     randombytes_buf(key_.data(), key_.size());
@@ -120,7 +123,7 @@ void LoginDesk::entity(LoginRequest request, Answer answer) {
     if (auto wrong = wrongCertificate(Door::Entity, request.certificate, request.peer))
         return answer(std::move(*wrong));
     const auto name = request.certificate ? request.certificate->name : std::string();
-    if (!users_ || (request.certificate && request.user.empty()))
+    if (!has_users_ || (request.certificate && request.user.empty()))
         return answer(LoggedIn{{}, Role::Operator, name});
     answer = [answer = std::move(answer), name](Result<LoggedIn> who) {
         if (!who) return answer(std::move(who));
@@ -138,7 +141,7 @@ void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
         return answer(refuse(RefusalCode::Malformed, "expected a user name and a password of at most " +
                                                          std::to_string(kLoginTextMax) + " bytes each"));
     std::optional<Refusal> refusal;
-    const auto digest = users_ && !request.user.empty() ? digestOf(request.password) : std::nullopt;
+    const auto digest = has_users_ && !request.user.empty() ? digestOf(request.password) : std::nullopt;
     {
         const std::lock_guard lock(mutex_);
         const auto its = jobs_.find(address);
@@ -196,11 +199,23 @@ void LoginDesk::run() {
 
 Result<LoggedIn> LoginDesk::decide(const Job& job) {
     const auto& request = job.request;
-    if (!users_) {
+    if (!has_users_) {
         const auto uid = owner_of_(request.peer, request.local);
         const auto name = request.certificate ? request.certificate->name : std::string();
         return LoggedIn{name, uid && (*uid == 0 || *uid == ::geteuid()) ? Role::Admin : Role::Operator};
     }
+    try {
+        return decideWithUsers(job);
+    } catch (const std::bad_alloc&) {
+        note_("audit: a password could not be verified: there is too little memory");
+        return refuse(RefusalCode::Overloaded,
+                      "the server has too little memory to verify a password; fix: try again, or give its "
+                      "machine more memory");
+    }
+}
+
+Result<LoggedIn> LoginDesk::decideWithUsers(const Job& job) {
+    const auto& request = job.request;
     const bool certified = request.certificate && job.door == Door::Client;
     const auto& its_user = certified && request.user.empty() ? request.certificate->name : request.user;
     const auto user = cut(its_user);
@@ -221,13 +236,13 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
                                                          job.address + "; fix: try again in " +
                                                          std::to_string(seconds) + " s");
     }
-    const auto role = certified ? users_->roleOf(its_user) : verify(request.user, request.password);
+    const auto role = certified ? usersNow()->roleOf(its_user) : verify(request.user, request.password);
     if (certified && !role) {
         failed("not in users.cfg");
         return refuse(RefusalCode::PermissionDenied,
                       "the certificate is valid, but the server has no user '" + user +
                           "'; fix: ask the administrator of the server to add '" + user +
-                          "' with axon-server --add-user, and to restart it");
+                          "' with axon users add");
     }
     if (!role) {
         guard_.failed(job.address, user);
@@ -236,7 +251,7 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
                       user.empty() ? "this server asks for a user and a password; fix: log in with those "
                                      "that its administrator gave you"
                                    : "wrong user or password; fix: correct them, or ask the administrator "
-                                     "of the server to set a new password with axon-server --add-user");
+                                     "of the server to set a new one with axon users password");
     }
     guard_.succeeded(job.address, user);
     auto who = admit(*role, job.door, user);
@@ -245,8 +260,8 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
 }
 
 Result<LoggedIn> LoginDesk::vouched(Door door, const std::string& user) const {
-    if (!users_) return LoggedIn{};
-    if (const auto role = users_->roleOf(user)) return admit(*role, door, user);
+    if (!has_users_) return LoggedIn{};
+    if (const auto role = usersNow()->roleOf(user)) return admit(*role, door, user);
     return refuse(RefusalCode::PermissionDenied,
                   "this server has no user " + cut(user) +
                       ", which another server of this installation has accepted; fix: give all servers "
@@ -259,7 +274,7 @@ Result<LoggedIn> LoginDesk::vouchedClient(const std::string& user,
     auto who = [&]() -> Result<LoggedIn> {
         if (auto wrong = wrongCertificate(Door::Client, certificate, kBehindARouter))
             return std::move(*wrong);
-        if (!users_ && certificate) return LoggedIn{its, Role::Operator, {}};
+        if (!has_users_ && certificate) return LoggedIn{its, Role::Operator, {}};
         return vouched(Door::Client, its);
     }();
     record(Door::Client, cut(its), kVouched, who);
@@ -312,7 +327,7 @@ Result<LoggedIn> LoginDesk::admit(UserRole role, Door door, const std::string& u
 }
 
 std::optional<LoginDesk::Digest> LoginDesk::digestOf(const std::string& password) const {
-    if (password.size() > kPasswordMax) return std::nullopt;
+    if (password.size() > users::kPasswordMax) return std::nullopt;
     Digest digest{};
     crypto_generichash(digest.data(), digest.size(), reinterpret_cast<const unsigned char*>(password.data()),
                        password.size(), key_.data(), key_.size());
@@ -321,22 +336,56 @@ std::optional<LoginDesk::Digest> LoginDesk::digestOf(const std::string& password
 
 bool LoginDesk::isKnown(const std::string& user, const Digest& digest) const {
     const auto found = known_.find(user);
-    return found != known_.end() &&
-           sodium_memcmp(found->second.first.data(), digest.data(), digest.size()) == 0;
+    return found != known_.end() && sodium_memcmp(found->second.data(), digest.data(), digest.size()) == 0;
 }
 
 std::optional<UserRole> LoginDesk::verify(const std::string& user, const std::string& password) {
     const auto digest = digestOf(password);
-    if (digest) {
+    while (true) {
+        std::shared_ptr<const users::Users> users;
+        {
+            const std::lock_guard lock(mutex_);
+            if (digest && isKnown(user, *digest)) return users_->roleOf(user);
+            users = users_;
+        }
+        const auto role = users->verify(user, password);
         const std::lock_guard lock(mutex_);
-        if (isKnown(user, *digest)) return known_.at(user).second;
+        if (users != users_) continue;  // the answer is one of yesterday
+        if (role && digest) known_[user] = *digest;
+        return role;
     }
-    const auto role = users_->verify(user, password);
-    if (role && digest) {
-        const std::lock_guard lock(mutex_);
-        known_[user] = {*digest, *role};
-    }
-    return role;
+}
+
+std::shared_ptr<const users::Users> LoginDesk::usersNow() const {
+    const std::lock_guard lock(mutex_);
+    return users_;
+}
+
+void LoginDesk::setUsers(std::shared_ptr<const users::Users> users) {
+    const std::lock_guard lock(mutex_);
+    std::erase_if(known_, [&](const auto& known) {
+        const auto* before = users_->find(known.first);
+        const auto* now = users->find(known.first);
+        return before == nullptr || now == nullptr || before->hash != now->hash;
+    });
+    users_.swap(users);
+}
+
+std::optional<Role> LoginDesk::clientRole(const std::string& user) const {
+    const auto role = usersNow()->roleOf(user);
+    if (!role) return std::nullopt;
+    const auto who = admit(*role, Door::Client, user);
+    return who ? std::optional(who.value().role) : std::nullopt;
+}
+
+std::shared_ptr<const users::Access> LoginDesk::access() const {
+    auto users = usersNow();
+    const auto* its = &users->access();
+    return {std::move(users), its};
+}
+
+bool LoginDesk::mayBeEntityManager(const std::string& user) const {
+    return usersNow()->roleOf(user) == UserRole::Entity;
 }
 
 }  // namespace axon::server

@@ -5,6 +5,7 @@
 #include <deque>
 #include <functional>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <string>
@@ -13,8 +14,9 @@
 #include "audit/note.hpp"
 #include "common/clock.hpp"
 #include "server/login_guard.hpp"
-#include "server/users.hpp"
 #include "transport/ice/login.hpp"
+#include "users/present_users.hpp"
+#include "users/users.hpp"
 
 namespace axon::server {
 
@@ -28,14 +30,18 @@ namespace axon::server {
 /// root's, is admin, everybody else operator; where the uid cannot be found out, operator. An Entity Manager
 /// needs no name then.
 ///
+/// The users may change while it runs; whether there are any may not. A log-in that is being verified
+/// meanwhile counts only if the new users admit it, too.
+///
 /// Threads: one of its own does what takes time (verifying a password, asking the kernel whose a connection
-/// is), so that Ice's threads never do; the answers are given on it. It serves one of each address in turn,
-/// so that who tries many passwords holds up himself. Bound: 4096 log-ins wait, of one address 256, then
-/// OVERLOADED. A password that was right once is known by a keyed digest, so that thousands that come back
-/// after a restart are not verified one by one, and whoever comes with it is heard before those that must be
-/// verified: an operator who wants to stop a robot does not wait behind somebody who tries passwords. Life:
-/// close() before the gates' communicators are destroyed; it answers all that wait.
-class LoginDesk final : public transport::Logins {
+/// is), so that Ice's threads never do; the answers are given on it. One password at a time is verified,
+/// which bounds the memory: what the costliest hash wants. It serves one of each address in turn, so that who
+/// tries many passwords holds up himself. Bound: 4096 log-ins wait, of one address 256, then OVERLOADED. A
+/// password that was right once is known by a keyed digest, so that thousands that come back after a restart
+/// are not verified one by one, and whoever comes with it is heard before those that must be verified: an
+/// operator who wants to stop a robot does not wait behind somebody who tries passwords. Life: close() before
+/// the gates' communicators are destroyed; it answers all that wait.
+class LoginDesk final : public transport::Logins, public users::PresentUsers {
   public:
     using Note = std::function<void(const std::string& line)>;
     using OwnerOf =
@@ -43,7 +49,7 @@ class LoginDesk final : public transport::Logins {
 
     /// `note` gets lines for the log, on any thread; `owner_of` finds the uid of a connection's other end.
     /// `trail` is told of each log-in and each refusal; null: nobody is.
-    LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of,
+    LoginDesk(std::shared_ptr<const users::Users> users, const Clock& clock, Note note, OwnerOf owner_of,
               audit::AuditTrail* trail = nullptr);
     ~LoginDesk() override;
     LoginDesk(const LoginDesk&) = delete;
@@ -59,6 +65,12 @@ class LoginDesk final : public transport::Logins {
     /// A process of the server's own uid, or root's. Asks the kernel.
     bool mayVouch(const std::string& peer, const std::string& local) override;
     void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) override;
+    /// From now on these may log in, with their passwords and roles; never null. Only where there are users.
+    /// Whoever is here is not touched, but for what clientRole() and mayBeEntityManager() say from now on.
+    void setUsers(std::shared_ptr<const users::Users> users);
+    std::optional<Role> clientRole(const std::string& user) const override;
+    bool mayBeEntityManager(const std::string& user) const override;
+    std::shared_ptr<const users::Access> access() const override;
     void close();
 
   private:
@@ -77,19 +89,21 @@ class LoginDesk final : public transport::Logins {
     void enqueue(Door door, transport::LoginRequest request, Answer answer);
     void run();
     Result<transport::LoggedIn> decide(const Job& job);
+    Result<transport::LoggedIn> decideWithUsers(const Job& job);
     Result<transport::LoggedIn> vouched(Door door, const std::string& user) const;
-    static Result<transport::LoggedIn> admit(UserRole role, Door door, const std::string& user);
+    static Result<transport::LoggedIn> admit(users::UserRole role, Door door, const std::string& user);
     /// Whether its certificate, if it showed one, is for this door.
     std::optional<Refusal> wrongCertificate(Door door,
                                             const std::optional<transport::PeerCertificate>& certificate,
                                             const std::string& peer) const;
-    std::optional<UserRole> verify(const std::string& user, const std::string& password);
+    std::optional<users::UserRole> verify(const std::string& user, const std::string& password);
+    std::shared_ptr<const users::Users> usersNow() const;
     /// Nothing for one that is longer than any password.
     std::optional<Digest> digestOf(const std::string& password) const;
     bool isKnown(const std::string& user, const Digest& digest) const;
 
     // Constant after construction.
-    const std::optional<Users> users_;
+    const bool has_users_;
     const Note note_;
     const OwnerOf owner_of_;
     audit::AuditTrail& trail_;
@@ -97,10 +111,11 @@ class LoginDesk final : public transport::Logins {
     // Of its thread only.
     LoginGuard guard_;
 
-    std::mutex mutex_;
+    mutable std::mutex mutex_;
     std::condition_variable changed_;
     // Guarded by mutex_:
-    std::map<std::string, std::pair<Digest, UserRole>> known_;
+    std::shared_ptr<const users::Users> users_;    // null where there are none
+    std::map<std::string, Digest> known_;          // by the names of users whose present hash it belongs to
     std::deque<Job> of_known_;                     // before the others
     std::map<std::string, std::deque<Job>> jobs_;  // of each address that has any
     std::deque<std::string> turns_;                // those addresses, next first

@@ -25,13 +25,14 @@ const std::string kHash =
 class LoginDeskTest : public testing::Test {
   protected:
     LoginDesk& withUsers() {
-        return make(Users::parse("watcher observer " + kHash + "\nclient1 operator " + kHash +
-                                     "\nboss admin " + kHash + "\nleft entity " + kHash,
-                                 "users.cfg"));
+        return make(users::Users::parse("watcher observer " + kHash + "\nclient1 operator " + kHash +
+                                            "\nboss admin " + kHash + "\nleft entity " + kHash,
+                                        "users.cfg"));
     }
-    LoginDesk& make(std::optional<Users> users) {
+    LoginDesk& make(std::optional<users::Users> its_users) {
         desk.emplace(
-            std::move(users), clock, [this](const std::string& line) { notes.push_back(line); },
+            its_users ? std::make_shared<const users::Users>(std::move(*its_users)) : nullptr, clock,
+            [this](const std::string& line) { notes.push_back(line); },
             [this](const std::string&, const std::string&) { return owner; }, &trail);
         return *desk;
     }
@@ -345,6 +346,37 @@ TEST(LoginGuard, RemembersABoundedNumber) {
     for (int i = 0; i < 3; ++i) guard.failed("a", "client1");
     for (int i = 0; i < 100'000; ++i) guard.failed("b", std::to_string(i));
     EXPECT_GT(guard.mustWait("a", "client1"), Duration{});  // those that do not wait go first
+}
+
+TEST_F(LoginDeskTest, FromTheMomentOfAChangeTheNewUsersCount) {
+    const auto parsed = [](const std::string& text) {
+        return std::make_shared<const users::Users>(users::Users::parse(text, "users.cfg"));
+    };
+    auto& its = withUsers();
+    EXPECT_TRUE(client("client1", "secret1").ok());  // and is known from now on
+    EXPECT_EQ(its.clientRole("client1"), Role::Operator);
+    EXPECT_TRUE(its.mayBeEntityManager("left"));
+    EXPECT_FALSE(its.mayBeEntityManager("client1"));
+    EXPECT_FALSE(its.clientRole("left"));
+
+    its.setUsers(parsed("client1 observer " + kHash + "\nclient2 operator " + kHash));
+    EXPECT_EQ(client("client1", "secret1").value().role, Role::Observer);
+    EXPECT_TRUE(client("client2", "secret1").ok());
+    EXPECT_EQ(its.clientRole("client1"), Role::Observer);
+    EXPECT_FALSE(its.clientRole("boss"));
+    EXPECT_FALSE(client("boss", "secret1").ok());
+    EXPECT_FALSE(its.vouchedClient("boss").ok());
+    EXPECT_FALSE(its.mayBeEntityManager("left"));
+    EXPECT_FALSE(entity("left", "secret1").ok());
+    EXPECT_FALSE(certified("boss", "client").ok());
+
+    // What was known of a password is forgotten with it.
+    its.setUsers(parsed("client1 operator " + users::hashPassword("secret2")));
+    EXPECT_FALSE(client("client1", "secret1").ok());
+    EXPECT_EQ(client("client1", "secret2").value().role, Role::Operator);
+    its.setUsers(parsed("client2 operator " + kHash));
+    its.setUsers(parsed("client1 operator " + kHash));
+    EXPECT_FALSE(client("client1", "secret2").ok());
 }
 
 }  // namespace

@@ -15,10 +15,10 @@
 
 #include "common/release.hpp"
 #include "host/port_range.hpp"
-#include "server/users.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
 #include "transport/process/logging.hpp"
+#include "users/users_file.hpp"
 
 namespace axon::server {
 namespace {
@@ -184,12 +184,12 @@ void placeConsole(ServerSettings& settings) {
 void addUser(const std::string& file, const std::string& name, const std::string& role) {
     if (file.empty())
         throw std::runtime_error("--add-user: expected the file to write to; fix: add --users FILE");
-    const auto its_role = userRole(role);
+    const auto its_role = users::userRole(role);
     if (!its_role)
         throw std::runtime_error("--user-role '" + role + "': expected observer, operator, admin or entity");
-    writeUser(file, name, *its_role, readPassword());
-    std::fprintf(stderr, "%s: '%s' may log in as %s after axon-server is restarted\n", file.c_str(),
-                 name.c_str(), toString(*its_role));
+    users::writeUser(file, name, *its_role, users::readNewPassword());
+    std::fprintf(stderr, "%s: '%s' may log in as %s; servers that run take that over within 3 s\n",
+                 file.c_str(), name.c_str(), users::toString(*its_role));
 }
 
 }  // namespace
@@ -226,6 +226,24 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          [&](const auto& where, const auto& text) {
              settings.front_end.clients_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
          }},
+        {"FrontEndServer.UserSessions",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_sessions = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
+         }},
+        {"FrontEndServer.UserCheckOuts",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_check_outs = static_cast<std::size_t>(number(where, text, 0, 1'000'000));
+         }},
+        {"FrontEndServer.UserMessages",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_messages_per_second =
+                 static_cast<std::uint32_t>(number(where, text, 10, 10'000'000));
+         }},
+        {"FrontEndServer.UserBytes",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.user_bytes_per_second =
+                 static_cast<std::uint32_t>(number(where, text, 1024, 2'000'000'000));
+         }},
         {"EntityServer.EntitiesMax",
          [&](const auto& where, const auto& text) {
              settings.entity.entities_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
@@ -248,6 +266,10 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         {"FrontEndServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
         {"EntityServerTopic.Endpoints", endpoint(settings.topic_endpoint)},
         {"EntityServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
+        {"FrontEndServerTopic.PublishedEndpoints", published("FrontEndServerTopic")},
+        {"FrontEndServerTopicSignal.PublishedEndpoints", published("FrontEndServerTopicSignal")},
+        {"EntityServerTopic.PublishedEndpoints", published("EntityServerTopic")},
+        {"EntityServerTopicSignal.PublishedEndpoints", published("EntityServerTopicSignal")},
         {"Server.Console",
          [&](const auto& where, const auto& text) {
              settings.console.wanted = number(where, text, 0, 1) != 0;

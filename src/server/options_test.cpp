@@ -234,6 +234,29 @@ TEST(ServerOptions, WatchdogsAreWhatAClientCanKeepUpWith) {
     std::filesystem::remove_all(folder);
 }
 
+TEST(ServerOptions, LimitsOfAUserAreNumbersInTheirRange) {
+    std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    const auto file = folder + "/server.cfg";
+    const auto with = [&](const std::string& line) {
+        std::ofstream(file) << "FrontEndServer.User" << line << "\n";
+        return complaint({"--config", file});
+    };
+    std::ofstream(file) << "FrontEndServer.UserSessions=3\nFrontEndServer.UserCheckOuts=0\n"
+                           "FrontEndServer.UserMessages=10\nFrontEndServer.UserBytes=2000000000\n";
+    const auto its = parse({"--config", file}).options->settings.front_end;
+    EXPECT_EQ(its.user_sessions, 3U);
+    EXPECT_EQ(its.user_check_outs, 0U);
+    EXPECT_EQ(its.user_messages_per_second, 10U);
+    EXPECT_EQ(its.user_bytes_per_second, 2'000'000'000U);
+    EXPECT_THAT(with("Sessions=0"), HasSubstr("expected a number from 1 to 1000000"));
+    EXPECT_THAT(with("CheckOuts=-1"), HasSubstr("expected a number from 0 to 1000000"));
+    EXPECT_THAT(with("Messages=9"), HasSubstr("expected a number from 10 to 10000000"));
+    EXPECT_THAT(with("Bytes=2000000001"), HasSubstr("expected a number from 1024 to 2000000000"));
+    EXPECT_THAT(with("Bytes=much"), HasSubstr("expected a number"));
+    std::filesystem::remove_all(folder);
+}
+
 TEST(ServerOptions, GlobalServicesLieBesideTheConfigurationUnlessAFolderIsNamed) {
     EXPECT_EQ(parse({}).options->settings.global_services, "globalservices");
     std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";

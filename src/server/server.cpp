@@ -6,26 +6,32 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <optional>
+#include <regex>
 #include <stdexcept>
 #include <utility>
 
+#include "certificates/folder.hpp"
+#include "certificates/trust.hpp"
 #include "common/ids.hpp"
 #include "common/release.hpp"
 #include "common/shared_clock.hpp"
 #include "entity_server/entity_server.hpp"
 #include "front_end_server/front_end_server.hpp"
 #include "global_services/services_folder.hpp"
+#include "host/port_range.hpp"
 #include "host/socket_owner.hpp"
 #include "server/console_station.hpp"
 #include "server/login_desk.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/connection_limits.hpp"
 #include "transport/ice/endpoint.hpp"
+#include "transport/ice/link_trust.hpp"
 #include "transport/ice/timer_thread.hpp"
 #include "transport/ice/tls.hpp"
-#include "transport/ice/tls_refusals.hpp"
 #include "transport/topics/storm_topics.hpp"
+#include "users/users_watch.hpp"
 
 namespace axon::server {
 
@@ -113,19 +119,104 @@ std::vector<std::string> endpointsOf(const ServerSettings& settings) {
     return endpoints;
 }
 
-/// What comes from another server is believed without a password.
+certificates::Kind ownKind(const ServerSettings& settings) {
+    return settings.role == ServerRole::Entity ? certificates::Kind::EntityServer
+                                               : certificates::Kind::FrontEnd;
+}
+
+/// Whether the links of this server to the others and to IceStorm are under TLS.
+bool linksAreTls(const ServerSettings& settings) {
+    return settings.role != ServerRole::Both && parsed(settings.topic_endpoint).front().tls;
+}
+
+std::string issueOwn(const ServerSettings& settings) {
+    return std::string("axon certs issue --") + toString(ownKind(settings)) + " " + settings.name + " HOST…";
+}
+
+/// Its own certificate, by which the others know it; one that only IceSSL finds is left to the others.
+void checkOwnCertificate(const ServerSettings& settings) {
+    const auto value = [&](const char* key) {
+        const auto found = settings.ice_properties.find(key);
+        return found == settings.ice_properties.end() ? std::string() : found->second;
+    };
+    const auto file = value("IceSSL.CertFile");
+    if (file.empty()) return;
+    std::vector<certificates::Certificate> its;
+    try {
+        its = certificates::readCertificateFile(std::filesystem::path(value("IceSSL.DefaultDir")) / file);
+    } catch (const certificates::Unusable& unusable) {
+        throw std::runtime_error(std::string(unusable.what()) + "; fix: " + unusable.fix());
+    }
+    const auto wrong = certificates::mismatch(its.front(), ownKind(settings), settings.name);
+    if (!wrong.empty())
+        throw std::runtime_error(
+            "the links to the other servers are under TLS, and the certificate of this "
+            "server (IceSSL.CertFile=" +
+            file + ") " + wrong + "; fix: " + issueOwn(settings) + ", and use its configuration file");
+}
+
+/// Where IceStorm is, which is believed whatever it says. `text` is its stringified proxy.
+void checkTopicManager(const std::string& text, bool tls) {
+    static const std::regex kHost(R"(:\s*(\w+)\b[^:]*?-h\s+(\S+))");
+    for (auto at = std::sregex_iterator(text.begin(), text.end(), kHost); at != std::sregex_iterator();
+         ++at) {
+        const auto host = (*at)[2].str();
+        const bool its_tls = (*at)[1] == "ssl" || (*at)[1] == "wss";
+        if (its_tls != tls)
+            throw std::runtime_error(
+                "Server.TopicManager: '" + text + "': expected " + (tls ? "ssl" : "tcp") +
+                " as at the ports for the other servers (FrontEndServerTopic.Endpoints, "
+                "EntityServerTopic.Endpoints …), because IceStorm calls those; fix: use TLS for all of them, "
+                "or for none");
+        if (!tls && host != "localhost" && !isLoopback(host))
+            throw std::runtime_error(
+                "Server.TopicManager: '" + text +
+                "': IceStorm is believed whatever it says, and without TLS anybody in the network could "
+                "speak in its place; fix: run it on this machine (-h 127.0.0.1), or use TLS for all links "
+                "between servers (docs/reference/server_configuration.md#links-between-servers-over-tls)");
+    }
+}
+
+/// What comes from another server is believed without a password. So who it is must be known: by TLS, or
+/// because nobody else can reach these ports; Server.PlainTcp is about passwords, and opens none of them.
 void checkBetweenServers(const ServerSettings& settings) {
     if (settings.role == ServerRole::Both) return;
-    for (const auto& endpoint : {settings.topic_endpoint, settings.topic_signal_endpoint}) {
-        try {
-            checkEndpoints(endpoint, false, false);
-        } catch (const std::runtime_error&) {
-            throw std::runtime_error(
-                "'" + endpoint +
-                "' is for the other servers, which need no password: expected an address that only this "
-                "machine can reach; fix: use one such as 127.0.0.1:0");
+    const bool tls = linksAreTls(settings);
+    for (const auto& endpoints : {settings.topic_endpoint, settings.topic_signal_endpoint}) {
+        for (const auto& one : parsed(endpoints)) {
+            if (one.tls != tls)
+                throw std::runtime_error(
+                    "'" + settings.topic_endpoint + "' and '" + settings.topic_signal_endpoint +
+                    "' are for the other servers: expected TLS for all of these endpoints, or for none; fix: "
+                    "begin each with ssl, or none");
+            if (one.tls) continue;
+            try {
+                checkEndpoints(one.address(), false, false);
+            } catch (const std::runtime_error&) {
+                throw std::runtime_error(
+                    "'" + one.address() +
+                    "' is for the other servers, which need no password: without TLS, expected an address "
+                    "that only this machine can reach; fix: use one such as 127.0.0.1:0, or "
+                    "ssl://HOST:PORT with a certificate of this server (" +
+                    issueOwn(settings) +
+                    "); Server.PlainTcp does not open this port, because anybody who reaches it could move "
+                    "every robot");
+            }
         }
     }
+    if (!settings.topic_manager.empty()) checkTopicManager(settings.topic_manager, tls);
+    if (!tls) return;
+    if (!transport::speaksTls(settings.ice_properties))
+        throw std::runtime_error(
+            "'" + settings.topic_endpoint +
+            "' is a TLS endpoint, but no certificate is configured (IceSSL.CertFile); fix: " +
+            issueOwn(settings) + ", which writes a configuration file for --config");
+    const auto verifies = settings.ice_properties.find("IceSSL.VerifyPeer");
+    if (verifies != settings.ice_properties.end() && verifies->second == "0")
+        throw std::runtime_error(
+            "IceSSL.VerifyPeer=0: then nobody's certificate is verified, and the links between servers are "
+            "under TLS; fix: expected 2, or 1 if clients may log in without a certificate");
+    checkOwnCertificate(settings);
 }
 
 std::string hostOf(const transport::Endpoint& endpoint) {
@@ -166,7 +257,7 @@ void checkConsole(const ConsoleSettings& console, bool has_users) {
     }
 }
 
-std::optional<Users> usersOf(const ServerSettings& settings) {
+std::shared_ptr<const users::Users> usersOf(const ServerSettings& settings) {
     checkBetweenServers(settings);
     checkConsole(settings.console, !settings.users_file.empty());
     const bool has_users = !settings.users_file.empty();
@@ -187,8 +278,10 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
             "included, can be read and changed on the way; fix: use it only in a network that you trust, or "
             "listen over TLS");
     }
-    if (!has_users) return std::nullopt;
-    return Users::read(settings.users_file);
+    if (!has_users) return nullptr;
+    auto its = std::make_shared<const users::Users>(users::Users::read(settings.users_file));
+    note("users: " + users::summaryOf(*its, settings.users_file));
+    return its;
 }
 
 transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane) {
@@ -298,30 +391,34 @@ class ClientsHere final : public entity_server::FrontEndTopic {
 
 /// What both kinds of server are told alike: their name, and where the others and routers find them.
 template <class Its>
-void placeAmongServers(Its& its, const ServerSettings& settings, const std::string& router_endpoint) {
+void placeAmongServers(Its& its, const ServerSettings& settings, const std::string& router_endpoint,
+                       transport::LinkTrust* links) {
     if (settings.role != ServerRole::Both) its.core.name = settings.name;
     its.topic_endpoint = iceForm(settings.topic_endpoint);
     its.topic_signal_endpoint = iceForm(settings.topic_signal_endpoint);
     its.router_endpoint = routerEndpoint(router_endpoint);
     its.name = settings.name;
     its.neighbours = settings.neighbours;
+    its.links = links;
 }
 
-front_end_server::FrontEndServerSettings frontEndSettings(const ServerSettings& settings) {
+front_end_server::FrontEndServerSettings frontEndSettings(const ServerSettings& settings,
+                                                          transport::LinkTrust* links) {
     front_end_server::FrontEndServerSettings its;
     its.core = settings.front_end;
     its.data_endpoint = iceForm(settings.client_endpoint);
     its.signal_endpoint = iceForm(settings.client_signal_endpoint);
-    placeAmongServers(its, settings, settings.client_router_endpoint);
+    placeAmongServers(its, settings, settings.client_router_endpoint, links);
     return its;
 }
 
-entity_server::EntityServerSettings entitySettings(const ServerSettings& settings) {
+entity_server::EntityServerSettings entitySettings(const ServerSettings& settings,
+                                                   transport::LinkTrust* links) {
     entity_server::EntityServerSettings its;
     its.core = settings.entity;
     its.data_endpoint = iceForm(settings.entity_endpoint);
     its.signal_endpoint = iceForm(settings.entity_signal_endpoint);
-    placeAmongServers(its, settings, settings.entity_router_endpoint);
+    placeAmongServers(its, settings, settings.entity_router_endpoint, links);
     return its;
 }
 
@@ -338,31 +435,47 @@ std::unique_ptr<audit::Trail> trailOf(const ServerSettings& settings) {
 
 }  // namespace
 
+namespace {
+
+std::unique_ptr<transport::LinkTrust> trustOf(const ServerSettings& settings, const Clock& clock,
+                                              audit::AuditTrail* trail) {
+    if (!linksAreTls(settings)) return nullptr;
+    return std::make_unique<transport::LinkTrust>(
+        clock, [](const std::string& line) { spdlog::warn("{}", line); }, trail);
+}
+
+}  // namespace
+
 class Server::Parts {
   public:
     explicit Parts(const ServerSettings& settings)
         : trail(trailOf(settings)),
+          first_users(usersOf(settings)),
           logins(
-              usersOf(settings), clock, note,
+              first_users, clock, note,
               [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); },
               trail.get()),
+          links(trustOf(settings, steady, trail.get())),
           data(transport::makeCommunicator(communicatorSettings(settings, Lane::Data))),
           signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
           receipts(transport::makeCommunicator(receiptSettings(settings))) {
         const bool both = settings.role == ServerRole::Both;
+        for (const auto* one : {&data, &signal, &receipts}) watchHandshakes(one->communicator(), links.get());
         if (settings.role != ServerRole::FrontEnd) {
-            auto its = entitySettings(settings);
+            auto its = entitySettings(settings, links.get());
             its.logins = &logins;
             its.audit = trail.get();
+            its.users = first_users ? &logins : nullptr;
             its.limits = &limits;
             its.here = both ? &clients_here : nullptr;
             its.topic_signals = signal.communicator();  // stops
             entity.emplace(its, data.communicator(), receipts.communicator(), clock, random, note);
         }
         if (settings.role != ServerRole::Entity) {
-            auto its = frontEndSettings(settings);
+            auto its = frontEndSettings(settings, links.get());
             its.logins = &logins;
             its.audit = trail.get();
+            its.users = first_users ? &logins : nullptr;
             its.limits = &limits;
             if (!settings.global_services.empty()) {
                 services_folder.emplace(settings.global_services, clock, note);
@@ -380,13 +493,18 @@ class Server::Parts {
         }
         if (entity) entity->activate();
         if (front_end) front_end->activate();
-        if (services_folder)
-            services_timer.emplace("axon-services", Lane::Data, global_services::ServicesFolder::kPeriod,
-                                   clock, [this] { return services_folder->onTimer(); });
+        if (first_users)
+            users_watch.emplace(
+                settings.users_file, first_users, clock, note,
+                [this](std::shared_ptr<const users::Users> users) { take(std::move(users)); });
+        if (services_folder || users_watch)
+            files_timer.emplace("axon-files", Lane::Data, global_services::ServicesFolder::kPeriod, clock,
+                                [this] { return lookForFiles(); });
         if (!settings.topic_manager.empty()) joinTopics(settings.topic_manager);
     }
 
     ~Parts() {
+        files_timer.reset();  // it calls what follows
         if (front_end) front_end->core().shutDown();
         topics.reset();
         logins.close();  // a communicator waits for calls that are not answered
@@ -401,6 +519,21 @@ class Server::Parts {
         if (front_end) front_end->end();
     }
 
+    /// Whether the files of the administrator have changed.
+    TimePoint lookForFiles() {
+        auto next = clock.now() + std::chrono::hours{1};
+        if (services_folder) next = std::min(next, services_folder->onTimer());
+        if (users_watch) next = std::min(next, users_watch->onTimer());
+        return next;
+    }
+
+    /// First who may come in, then who may stay: whoever comes in between is asked again by the cores.
+    void take(std::shared_ptr<const users::Users> users) {
+        logins.setUsers(std::move(users));
+        if (front_end) front_end->core().usersChanged();
+        if (entity) entity->core().usersChanged();
+    }
+
     /// A console that nobody has asked for is no reason not to start: the robots need the server.
     void openConsole(const ServerSettings& settings) {
         try {
@@ -411,6 +544,8 @@ class Server::Parts {
                 browserBounds(settings.console));
             browsers.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Data)));
             browser_signals.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Signal)));
+            for (const auto* one : {&*browsers, &*browser_signals})
+                watchHandshakes(one->communicator(), nullptr);
             transport::DoorSettings door;
             door.data = {socketForm(settings.console.session_endpoint), browsers->communicator(),
                          &console->logins()};
@@ -449,6 +584,7 @@ class Server::Parts {
     void joinTopics(const std::string& manager) {
         transport::StormSettings its;
         its.manager = manager;
+        its.links = links.get();
         if (entity) {
             its.subscribe_to = transport::kFrontEndToEntityTopic;
             its.publish_to = {transport::kEntityToFrontEndTopic, transport::kFrontEndToEntityTopic};
@@ -481,26 +617,32 @@ class Server::Parts {
                    .what = line,
                    .outcome = refusalName(RefusalCode::Overloaded)});
     }
-    void noteHandshake(const std::string& peer, const std::string& why) const {
-        const auto what = "a TLS handshake: " + why;
-        trail->note({.kind = audit::Kind::Refusal,
-                     .peer = peer,
-                     .what = what,
-                     .outcome = refusalName(RefusalCode::PermissionDenied)});
+    /// Those that are refused, into the trail; the log has them.
+    void watchHandshakes(const std::shared_ptr<Ice::Communicator>& communicator,
+                         transport::LinkTrust* its_links) {
+        const auto refused = [this](const std::string& peer, const std::string& why) {
+            const auto what = "a TLS handshake: " + why;
+            audit::orNone(trail.get())
+                .note({.kind = audit::Kind::Refusal,
+                       .peer = peer,
+                       .what = what,
+                       .outcome = refusalName(RefusalCode::PermissionDenied)});
+        };
+        if (its_links != nullptr) return its_links->guard(communicator, refused);
+        transport::onRefused(communicator, [refused](const std::string& peer, const std::string&,
+                                                     const std::string& why) { refused(peer, why); });
     }
 
     const std::unique_ptr<audit::Trail> trail;  // null: nothing is recorded. Outlives all that notes
-    const std::shared_ptr<void> handshakes =    // that are refused; of this process
-        trail ? transport::watchRefusedHandshakes(
-                    [this](const std::string& peer, const std::string& why) { noteHandshake(peer, why); })
-              : nullptr;
     const std::shared_ptr<const Clock> time = clockFromEnvironment();
     const Clock& clock = *time;
     const SteadyClock steady{};  // of what peers cost, also where the laboratory's time stands
     transport::ConnectionLimits limits{steady, [this](const std::string& line) { noteClosed(line); }};
     std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;
+    const std::shared_ptr<const users::Users> first_users;  // null: there are none
     LoginDesk logins;
+    const std::unique_ptr<transport::LinkTrust> links;  // null but where those to other servers are under TLS
     Ice::CommunicatorHolder data;
     Ice::CommunicatorHolder signal;
     Ice::CommunicatorHolder receipts;
@@ -510,10 +652,11 @@ class Server::Parts {
     ClientsHere clients_here;
     EntitiesHere entities_here;
     std::optional<global_services::ServicesFolder> services_folder;  // none in an entity server's process
-    std::optional<transport::TimerThread> services_timer;
-    std::optional<entity_server::EntityServer> entity;          // none in a front-end server's process
-    std::optional<front_end_server::FrontEndServer> front_end;  // none in an entity server's process
+    std::optional<entity_server::EntityServer> entity;               // none in a front-end server's process
+    std::optional<front_end_server::FrontEndServer> front_end;       // none in an entity server's process
     std::optional<transport::StormTopics> topics;
+    std::optional<users::UsersWatch> users_watch;
+    std::optional<transport::TimerThread> files_timer;  // where there is a file to look for
 };
 
 Server::Server(ServerSettings settings) : parts_(std::make_unique<Parts>(settings)) {}
@@ -565,6 +708,9 @@ std::vector<std::string> Server::margins() const {
     if (parts_->entity) {
         for (auto& line : parts_->entity->core().margins()) lines.push_back(std::move(line));
     }
+    if (parts_->links)
+        lines.push_back("links between servers: " + std::to_string(parts_->links->refused()) +
+                        " connections and calls were refused");
     return lines;
 }
 

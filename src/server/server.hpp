@@ -44,6 +44,7 @@ struct ServerSettings {
     std::string name;  ///< isServerName()
     std::string
         topic_manager;  ///< IceStorm's, a stringified proxy. Empty: publishTo() says where the others are
+    // Over TLS, all of them and the topic manager are (docs/reference/tls.md).
     std::string topic_endpoint = "127.0.0.1:0";         ///< where IceStorm reaches it
     std::string topic_signal_endpoint = "127.0.0.1:0";  ///< where signals of the others reach it directly
     // HOST:PORT, ssl://HOST:PORT, or Ice's form, of which there may be several with ':' between them.

@@ -6,21 +6,18 @@
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
 
-#include <fcntl.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <axon/client.hpp>
-#include <csignal>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <map>
 #include <memory>
-#include <sstream>
 
 #include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
+#include "support/logged_program.hpp"
 
 namespace axon::test {
 namespace {
@@ -263,57 +260,6 @@ TEST_F(SeveralServers, RefuseWhatIsForNobody) {
     EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); }));
 }
 
-/// A program with its standard output in a file; killed at the end.
-class Program {
-  public:
-    Program(const std::vector<std::string>& words, const std::filesystem::path& log) : log_(log) {
-        std::vector<char*> arguments;
-        for (const auto& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
-        arguments.push_back(nullptr);
-        std::filesystem::remove(log);  // of the program before
-        id_ = ::fork();
-        if (id_ != 0) return;
-        const int file = ::open(log.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
-        ::dup2(file, 1);
-        ::dup2(file, 2);
-        sigset_t none;
-        sigemptyset(&none);
-        sigprocmask(SIG_SETMASK, &none, nullptr);
-        ::execvp(arguments[0], arguments.data());
-        ::_exit(127);
-    }
-    ~Program() { kill(); }
-    Program(const Program&) = delete;
-    Program& operator=(const Program&) = delete;
-
-    void kill() {
-        if (id_ <= 0) return;
-        ::kill(id_, SIGKILL);
-        ::waitpid(id_, nullptr, 0);
-        id_ = 0;
-    }
-    std::string text() const {
-        std::stringstream all;
-        all << std::ifstream(log_).rdbuf();
-        return all.str();
-    }
-    /// What follows `key` in the ready line, up to the next space.
-    std::string ready(const std::string& key) const {
-        std::string value;
-        EXPECT_TRUE(waitUntil([&] { return text().find("ready ") != std::string::npos; })) << text();
-        const auto all = text();
-        const auto line = all.substr(all.find("ready "));
-        const auto at = line.find(" " + key + "=");
-        if (at == std::string::npos) return {};
-        const auto begin = at + key.size() + 2;
-        return line.substr(begin, line.find_first_of(" \n", begin) - begin);
-    }
-
-  private:
-    const std::filesystem::path log_;
-    pid_t id_ = 0;
-};
-
 class RealServers : public testing::Test {
   protected:
     RealServers() {
@@ -345,16 +291,16 @@ class RealServers : public testing::Test {
         std::filesystem::remove_all(folder);
     }
     void startStorm() {
-        programs["icebox"] = std::make_unique<Program>(
+        programs["icebox"] = std::make_unique<LoggedProgram>(
             std::vector<std::string>{"icebox", "--Ice.Config=" + (folder / "icebox.cfg").string()},
             folder / "icebox.log");
     }
-    Program& start(const std::string& name) {
+    LoggedProgram& start(const std::string& name) {
         const bool front_end = name.rfind("fe", 0) == 0;
         const std::string kind = front_end ? "client" : "entity";
         const auto any_port = loopbackAddress() + ":0";
         programs[name].reset();
-        programs[name] = std::make_unique<Program>(
+        programs[name] = std::make_unique<LoggedProgram>(
             std::vector<std::string>{AXON_SERVER, "--role", front_end ? "front-end" : "entity", "--config",
                                      (folder / (name + ".cfg")).string(), "--" + kind + "-endpoint", any_port,
                                      "--" + kind + "-signal-endpoint", any_port},
@@ -363,7 +309,7 @@ class RealServers : public testing::Test {
     }
 
     std::filesystem::path folder;
-    std::map<std::string, std::unique_ptr<Program>> programs;
+    std::map<std::string, std::unique_ptr<LoggedProgram>> programs;
 };
 
 TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {

@@ -20,8 +20,8 @@
 #include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
 #include "server/options.hpp"
-#include "server/users.hpp"
 #include "support/log_lines.hpp"
+#include "users/users_file.hpp"
 
 namespace axon::test {
 namespace {
@@ -402,11 +402,11 @@ class ServerUsers : public testing::Test {
         folder = ::mkdtemp(name.data());
         auto settings = onLoopback();
         settings.users_file = folder + "/users.cfg";
-        using server::UserRole;
+        using users::UserRole;
         for (const auto& [user, role] :
              {std::pair{"watcher", UserRole::Observer}, std::pair{"client1", UserRole::Operator},
               std::pair{"boss", UserRole::Admin}, std::pair{"left", UserRole::Entity}})
-            server::writeUser(settings.users_file, user, role, std::string("password of ") + user);
+            users::writeUser(settings.users_file, user, role, std::string("password of ") + user);
         server = std::make_unique<server::Server>(settings);
     }
     ~ServerUsers() override {

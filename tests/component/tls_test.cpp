@@ -17,9 +17,9 @@
 #include "certificates/folder.hpp"
 #include "component/raw_peers.hpp"
 #include "server/server.hpp"
-#include "server/users.hpp"
 #include "support/log_lines.hpp"
 #include "support/loopback.hpp"
+#include "users/users_file.hpp"
 
 namespace axon::test {
 namespace {
@@ -252,9 +252,9 @@ TEST_F(Tls, AnEntityRegistersUnderTheNameOfItsCertificateOnly) {
 TEST_F(Tls, WithUsersTheCertificateStandsForThePasswordOfItsUser) {
     auto its = settings();
     its.users_file = folder / "users.cfg";
-    server::writeUser(its.users_file, "client1", server::UserRole::Observer, "secret1");
-    server::writeUser(its.users_file, "client2", server::UserRole::Operator, "secret2");
-    server::writeUser(its.users_file, "robots", server::UserRole::Entity, "secret3");
+    users::writeUser(its.users_file, "client1", users::UserRole::Observer, "secret1");
+    users::writeUser(its.users_file, "client2", users::UserRole::Operator, "secret2");
+    users::writeUser(its.users_file, "robots", users::UserRole::Entity, "secret3");
     const server::Server server(its);
     const auto connected = client::Client::connect(options(server, clientCertificate()));
     ASSERT_TRUE(connected) << connected.refusal().message;

@@ -8,12 +8,14 @@ import json
 import os
 import pathlib
 import shutil
+import ssl
 import subprocess
 import sys
 import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
+import probe  # noqa: E402
 import stalls  # noqa: E402
 from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
@@ -96,6 +98,29 @@ class ClusterCommandTest(unittest.TestCase):
         other.end()
         run("its-name", "entity-Greeter")
         self.assertEqual(len(self.lab.wait_for_entity("Greeter")), 1)
+
+    def test_with_tls_no_port_speaks_without_it_and_icestorm_answers_servers_only(self):
+        cluster = self.lab.start_cluster(shape=("--base-port", 0, "--tls", "--front-ends", 2))
+        certs = cluster.folder / "certs"
+
+        def shows(stem):
+            context = ssl.create_default_context(cafile=certs / "ca.cert.pem")
+            context.load_cert_chain(certs / f"{stem}.cert.pem", certs / f"{stem}.key.pem")
+            return context
+
+        programs_now = self.status()[1]
+        for name, program in programs_now.items():
+            for what, at in program["ports"].items():
+                host, _, port = at.rpartition(":")
+                with self.assertRaises(probe.NoAnswer, msg=f"{name} {what}"):
+                    probe.Connection(host, int(port), timeout_s=0.3)
+        host, _, port = programs_now["icestorm"]["ports"]["topics"].rpartition(":")
+        for stem in ("front-end-fe2", "entity-server-es1"):
+            probe.ping(host, int(port), "IceStorm/TopicManager", shows(stem))
+        for stem in ("client-admin", "entity-entity", "router-127.0.0.1", "storm-127.0.0.1"):
+            with self.assertRaises(probe.NoAnswer, msg=stem):
+                probe.ping(host, int(port), "IceStorm/TopicManager", shows(stem))
+        self.assertEqual(self.lab.axon("ls")[0], 0)
 
     def test_without_the_password_nobody_gets_in_and_both_sides_say_why(self):
         self.lab.start_server()

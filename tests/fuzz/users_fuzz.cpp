@@ -8,7 +8,7 @@
 #include <string_view>
 
 #include "host/socket_owner.hpp"
-#include "server/users.hpp"
+#include "users/users_file.hpp"
 
 namespace {
 
@@ -22,7 +22,7 @@ void require(bool holds) {
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
-    using axon::server::Users;
+    using axon::users::Users;
     const std::string text(reinterpret_cast<const char*>(bytes), size);
     axon::socketOwner(std::string_view(text), "127.0.0.1:50122", "127.0.0.1:10410");
     std::size_t before = 0;
@@ -33,9 +33,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         require(what.rfind("f:", 0) == 0 && what.find(": expected ") != std::string::npos);
         return 0;
     }
-    const auto more = axon::server::withUser(text, "added", axon::server::UserRole::Admin, kHash);
+    const auto more = axon::users::withUser(text, "added", axon::users::UserRole::Admin, kHash);
     const auto after = Users::parse(more, "f").size();
     require(after == before || after == before + 1);
-    require(axon::server::withUser(more, "added", axon::server::UserRole::Admin, kHash) == more);
+    require(axon::users::withUser(more, "added", axon::users::UserRole::Admin, kHash) == more);
     return 0;
 }

@@ -90,7 +90,7 @@ class HostileTest(unittest.TestCase):
         page = (ROOT / "docs/reference/rights.md").read_text()
         for line in page.splitlines():
             cells = [cell.strip().strip("`") for cell in line.split("|")[1:-1]]
-            if len(cells) == 7 and not cells[0].startswith(("msgType", "---")):
+            if len(cells) == 8 and not cells[0].startswith(("msgType", "---")):
                 yield cells[0], cells[1], dict(zip(("observer", "operator", "administrator", "holder", "entity"), cells[2:]))
 
     def message_of(self, body):

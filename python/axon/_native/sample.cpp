@@ -209,7 +209,7 @@ void bindSamples(py::module_& module) {
         .def_property_readonly("data", &dataOf);
     // For tests and benchmarks: as if it had come from an entity.
     module.def("read_sample", [](const std::string& stream, const py::bytes& raw) {
-        return toPython({"", stream, 0, "", std::string(raw)});
+        return toPython({"", stream, 0, std::string(raw)});
     });
 }
 

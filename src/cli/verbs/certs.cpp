@@ -12,8 +12,6 @@ namespace {
 using namespace certificates;
 namespace fs = std::filesystem;
 
-constexpr const char* kKinds[] = {"server", "router", "entity", "client"};
-
 WallTime now() {
     return std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now());
 }
@@ -70,12 +68,15 @@ int init(Session& session, const Folder& folder) {
 int issue(Session& session, const Folder& folder) {
     Request request;
     int kinds = 0;
-    for (const auto* kind : kKinds) {
-        if (!session.args.value(kind, false)) continue;
+    std::string expected;
+    for (const auto kind : kKinds) {
+        const std::string option = certificates::toString(kind);
+        expected += (expected.empty() ? "--" : ", --") + option;
+        if (!session.args.value(option, false)) continue;
         ++kinds;
-        request.kind = *kindOf(kind);
+        request.kind = kind;
     }
-    if (kinds != 1) return misused(session, "expected one of --server, --router, --entity and --client");
+    if (kinds != 1) return misused(session, "expected one of " + expected);
     request.names = namesOf(session);
     request.valid = std::chrono::days{session.args.value("days", 365)};
     const auto written = folder.issue(request, now(), session.args.value("force", false));
@@ -86,7 +87,8 @@ int issue(Session& session, const Folder& folder) {
 std::string fixOf(const Certificate& certificate) {
     if (certificate.authority) return "axon certs init --force, then issue all certificates again";
     return "axon certs issue --" + certificate.unit + " " + shellWord(certificate.name) +
-           (certificate.names.size() > 1 ? " …" : "") + " --force, then restart the program that uses it";
+           (certificate.names.empty() || certificate.names == std::vector{certificate.name} ? "" : " …") +
+           " --force, then restart the program that uses it";
 }
 
 /// What expires is said on the way, and expired is a failure: scripts ask for it.
@@ -146,6 +148,10 @@ extern const Verb kCerts{
     "  axon certs init                                       the laboratory's own CA, once\n"
     "  axon certs issue --server lab.example 192.168.0.5     its names and addresses\n"
     "  axon certs issue --router lab.example 192.168.0.5\n"
+    "  axon certs issue --front-end fe1 lab.example          of several servers: its Server.Name, then its "
+    "hosts\n"
+    "  axon certs issue --entity-server es1 192.168.0.6\n"
+    "  axon certs issue --storm lab.example                  for IceStorm between several servers\n"
     "  axon certs issue --entity PeopleBot                   the name in its basic profile\n"
     "  axon certs issue --client client1                     the name in users.cfg\n"
     "  axon certs show                                       list them, and when they expire\n"
@@ -153,9 +159,12 @@ extern const Verb kCerts{
     Runs::Local,
     {{"action", Takes::Choice, true, false, "init, issue or show", {"init", "issue", "show"}},
      {"name", Takes::File, false, true,
-      "issue: the name, and the other names and addresses of a server; show: files"}},
+      "issue: the name, and the names and addresses by which a server is called; show: files"}},
     {{"folder", Takes::File, "Folder of the CA (default ~/.config/axon/certs)"},
      {"server", Takes::Nothing, "For axon-server"},
+     {"front-end", Takes::Nothing, "For one of several front-end servers: its name and its hosts"},
+     {"entity-server", Takes::Nothing, "For one of several entity servers, likewise"},
+     {"storm", Takes::Nothing, "For IceStorm between several servers"},
      {"router", Takes::Nothing, "For glacier2router"},
      {"entity", Takes::Nothing, "For the Entity Manager of the entity of this name"},
      {"client", Takes::Nothing, "For the user of this name"},

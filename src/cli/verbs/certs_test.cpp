@@ -44,12 +44,17 @@ TEST_F(Certs, MakesACaAndIssuesCertificatesForAllKinds) {
     EXPECT_EQ(axon({"issue", "--server", "lab", "127.0.0.1"}), kDone);
     EXPECT_EQ(seen.last("issued")->at("certificate").at("names"), Json({"lab", "127.0.0.1"}));
     EXPECT_EQ(axon({"issue", "--router", "127.0.0.1"}), kDone);
+    EXPECT_EQ(axon({"issue", "--front-end", "fe1", "lab"}), kDone);
+    EXPECT_EQ(seen.last("issued")->at("certificate").at("kind"), "front-end");
+    EXPECT_EQ(seen.last("issued")->at("certificate").at("names"), Json::array({"lab"}));
+    EXPECT_EQ(axon({"issue", "--entity-server", "es1", "lab", "127.0.0.1"}), kDone);
+    EXPECT_EQ(axon({"issue", "--storm", "lab"}), kDone);
     EXPECT_EQ(axon({"issue", "--entity", "Cyton Arm"}), kDone);
     EXPECT_EQ(axon({"issue", "--client", "client1", "--days", "40"}), kDone);
     EXPECT_EQ(seen.last("issued")->at("certificate").at("kind"), "client");
     EXPECT_EQ(seen.last("issued")->at("files").back(), folder + "/lab/client-client1.cfg");
     EXPECT_EQ(axon({"show"}), kDone);
-    EXPECT_EQ(seen.last("certificates")->at("certificates").size(), 5U);
+    EXPECT_EQ(seen.last("certificates")->at("certificates").size(), 8U);
     EXPECT_EQ(seen.last("finding"), nullptr);
 }
 
@@ -87,6 +92,8 @@ TEST_F(Certs, SaysWhatIsWrongAndHowToFixIt) {
     EXPECT_EQ(axon({"issue", "client1"}), kUsage);
     EXPECT_EQ(axon({"issue", "--client", "--entity", "client1"}), kUsage);
     EXPECT_EQ(axon({"issue", "--server"}), kUsage);
+    EXPECT_EQ(axon({"issue", "--front-end", "fe1"}), kUsage);
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("--front-end NAME HOST"));
     EXPECT_EQ(axon({"issue", "--server", "not a host"}), kUsage);
     EXPECT_EQ(axon({"show", folder + "/none.pem"}), kUsage);
     std::ofstream(folder + "/bad.pem") << "nonsense";

@@ -10,7 +10,7 @@ extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, k
     kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
     kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory, kHelp, kInit, kManual;
 
-extern const Verb kAudit, kConsole, kDocs, kShell;
+extern const Verb kAudit, kConsole, kDocs, kShell, kUsers;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
@@ -48,6 +48,7 @@ const std::vector<const Verb*>& verbs() {
         &kDoctor,         //
         &kBench,          //
         &kCerts,          //
+        &kUsers,          //
         &kAudit,          //
         &kAgent,          //
         &kConsole,        //

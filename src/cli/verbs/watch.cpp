@@ -19,8 +19,7 @@ namespace {
 Json sampleEvent(const std::string& entity, const Sample& sample) {
     Json event{
         {"event", "sample"}, {"entity", entity}, {"stream", sample.stream}, {"sequence", sample.sequence}};
-    auto content = Json::parse(sample.json, nullptr, false);
-    if (content.is_discarded()) content = sample.json;
+    auto content = Json::parse(sample.json(), nullptr, false);
     if (content.is_object()) {
         // Protobuf's JSON writes 64-bit integers as texts.
         if (const auto taken = content.value("taken_at_us", ""); !taken.empty() && taken.size() < 19) {

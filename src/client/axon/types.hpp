@@ -239,11 +239,14 @@ struct CheckOutOptions {
     std::stop_token give_up;   ///< a stop request ends the wait with CANCELLED
 };
 
-/// One sample of a stream. `json` is its content as JSON text, `raw` the serialized axon.proto.StreamSample.
+/// One sample of a stream. `raw` is the serialized axon.proto.StreamSample.
 struct Sample {
     std::string entity, stream;
     std::uint64_t sequence = 0;
-    std::string json, raw;
+    std::string raw;
+    /// The content as JSON text with the field names of axon.proto.StreamSample; "{}" if `raw` is not one.
+    /// Rendered anew in each call, which takes milliseconds for a picture.
+    std::string json() const;
 };
 
 }  // namespace axon::client

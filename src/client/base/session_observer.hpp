@@ -51,8 +51,7 @@ class SessionObserver : public LeaseOffers {
     virtual void onOrphaned(const Held&, const std::string& /*reason*/) {}
     virtual void onResumed(const Held&) {}
     virtual void onHandOver(const Held&, const HandOverRequest&) {}
-    /// `sample.json` is left empty: rendering it is the owner's affair, outside any lock.
-    virtual void onSample(const Sample& sample) = 0;
+    virtual void onSample(Sample sample) = 0;
     /// Send of the resource from `offset` up to `limit`.
     virtual void onTransferCredit(const Id128& transfer, std::uint64_t offset, std::uint64_t limit) = 0;
     /// What the servers say to people.

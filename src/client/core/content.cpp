@@ -256,15 +256,15 @@ std::string rawMessage(std::string_view bytes) {
     return message.append(bytes);
 }
 
-std::string sampleToJson(std::string_view raw) {
+std::string Sample::json() const {
     proto::StreamSample sample;
     if (!sample.ParseFromArray(raw.data(), static_cast<int>(raw.size()))) return "{}";
     google::protobuf::util::JsonPrintOptions options;
     options.preserve_proto_field_names = true;
     options.always_print_primitive_fields = true;
-    std::string json;
-    if (!google::protobuf::util::MessageToJsonString(sample, &json, options).ok()) return "{}";
-    return json;
+    std::string text;
+    if (!google::protobuf::util::MessageToJsonString(sample, &text, options).ok()) return "{}";
+    return text;
 }
 
 }  // namespace axon::client

@@ -57,7 +57,4 @@ Result<std::vector<proto::Param>> toParams(const proto::Service& service,
 /// once.
 std::string rawMessage(std::string_view bytes);
 
-/// A serialized axon.proto.StreamSample as JSON with the field names of the .proto; "{}" when it is not one.
-std::string sampleToJson(std::string_view raw);
-
 }  // namespace axon::client

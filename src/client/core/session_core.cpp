@@ -161,7 +161,7 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool o
             if (!watches_.contains(entity)) break;
             const auto& sample = message.sample();
             context_.observer.onSample(
-                {entity, sample.stream(), sample.sequence(), {}, sample.SerializeAsString()});
+                {entity, sample.stream(), sample.sequence(), sample.SerializeAsString()});
             break;
         }
         case proto::ToClient::kService:

@@ -56,7 +56,7 @@ class RecordingObserver final : public SessionObserver {
     void onOrphaned(const Held& held, const std::string&) override { orphaned.push_back(held); }
     void onResumed(const Held& held) override { resumed.push_back(held); }
     void onHandOver(const Held&, const HandOverRequest& request) override { hand_overs.push_back(request); }
-    void onSample(const Sample& sample) override { samples.push_back(sample); }
+    void onSample(Sample sample) override { samples.push_back(std::move(sample)); }
     void onTransferCredit(const Id128&, std::uint64_t offset, std::uint64_t limit) override {
         credits.emplace_back(offset, limit);
     }

@@ -31,16 +31,18 @@ namespace axon::entity_server {
 class Session {
   public:
     Session(std::uint64_t its_number, std::string its_token, std::shared_ptr<EntityOutbox> its_data,
-            std::uint32_t messages_per_second)
+            std::uint32_t messages_per_second, std::string its_user = {})
         : number(its_number),
           token(std::move(its_token)),
           data(std::move(its_data)),
+          user(std::move(its_user)),
           limits(messages_per_second) {}
 
     // Constant after construction.
     const std::uint64_t number;
     const std::string token;
     const std::shared_ptr<EntityOutbox> data;
+    const std::string user;  // who logged in; empty where nobody has a name
 
     // Written once, before `registered` is; read by others only after it.
     std::shared_ptr<EntityOutbox> signal;

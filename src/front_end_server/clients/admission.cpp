@@ -37,4 +37,41 @@ Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const 
     return first;
 }
 
+namespace {
+
+/// "the user 'ann'", "a client".
+std::string whose(const Client& client) {
+    return client.user.empty() ? "a client" : "the user '" + client.user + "'";
+}
+
+}  // namespace
+
+Result<void> admitToShare(Client& client, std::size_t bytes, bool droppable,
+                          const FrontEndCoreSettings& settings, const Clock& clock) {
+    const auto now = clock.now();
+    if (!droppable && !client.share->messages.admit(now))
+        return refuse(RefusalCode::Overloaded,
+                      whose(client) + " may send at most " +
+                          std::to_string(settings.user_messages_per_second) +
+                          " messages in a second, in all sessions; fix: send fewer, or have "
+                          "FrontEndServer.UserMessages raised");
+    if (!client.share->bytes.admit(now, static_cast<std::uint32_t>(bytes)))
+        return refuse(
+            RefusalCode::Overloaded,
+            whose(client) + " may send at most " + std::to_string(settings.user_bytes_per_second / 1024) +
+                " KiB in a second, in all sessions; fix: send less, or have FrontEndServer.UserBytes "
+                "raised");
+    return {};
+}
+
+Result<void> admitCheckOut(const Client& client, const Header& head, const FrontEndCoreSettings& settings) {
+    if (head.msg_type != kMsgCheckOut || client.entities.holds(head.entity) ||
+        client.share->held.load(std::memory_order_relaxed) < settings.user_check_outs)
+        return {};
+    return refuse(RefusalCode::Overloaded,
+                  whose(client) + " holds " + std::to_string(settings.user_check_outs) +
+                      " entities, which is the most; fix: release some, or have FrontEndServer.UserCheckOuts "
+                      "raised");
+}
+
 }  // namespace axon::front_end_server

@@ -20,4 +20,13 @@ namespace axon::front_end_server {
 Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const Entities& entities,
                    const Clock& clock);
 
+/// Whether the message is within what the client's user may send in a second. `droppable`: only its bytes
+/// count.
+Result<void> admitToShare(Client& client, std::size_t bytes, bool droppable,
+                          const FrontEndCoreSettings& settings, const Clock& clock);
+
+/// Whether the client's user may check out one more entity. What is being asked for at this moment is not
+/// counted.
+Result<void> admitCheckOut(const Client& client, const Header& head, const FrontEndCoreSettings& settings);
+
 }  // namespace axon::front_end_server

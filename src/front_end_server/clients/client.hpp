@@ -12,6 +12,7 @@
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "front_end_server/clients/its_entities.hpp"
+#include "front_end_server/clients/user_share.hpp"
 #include "front_end_server/ports/core_settings.hpp"
 #include "front_end_server/ports/ports.hpp"
 
@@ -31,10 +32,13 @@ inline constexpr std::uint32_t kListsPerSecond = 4;  // of all entities, for one
 class Client {
   public:
     Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
-           const FrontEndCoreSettings& settings, TimePoint now)
+           const FrontEndCoreSettings& settings, TimePoint now, std::string its_user = {},
+           std::shared_ptr<UserShare> its_share = nullptr)
         : me(std::move(its_sender)),
           token(std::move(its_token)),
+          user(std::move(its_user)),
           data(std::move(its_data)),
+          share(its_share ? std::move(its_share) : std::make_shared<UserShare>(settings)),
           rate(settings.messages_per_second),
           drill_rate(settings.drills_per_second),
           liveness(settings.watchdog_busy, settings.watchdog_idle, now),
@@ -43,7 +47,9 @@ class Client {
     // Constant after construction.
     const Sender me;
     const std::string token;
+    const std::string user;  // who logged in; empty where nobody has a name
     const std::shared_ptr<ClientOutbox> data;
+    const std::shared_ptr<UserShare> share;  // with the other sessions of the user
 
     RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()

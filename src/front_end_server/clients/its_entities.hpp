@@ -49,19 +49,25 @@ class ItsEntities {
         const auto found = asked_.find(entity);
         return found != asked_.end() && found->second;
     }
+    /// All that it has asked, so far.
+    Asked all() const {
+        const std::lock_guard lock(mutex_);
+        return asked_;
+    }
     Asked take() {
         const std::lock_guard lock(mutex_);
         taken_ = true;
         unknown_.clear();
         return std::exchange(asked_, {});
     }
-    void setHeld(const std::string& entity, bool held) {
+    /// Whether that is new.
+    bool setHeld(const std::string& entity, bool held) {
         const std::lock_guard lock(mutex_);
-        if (held) {
-            held_.insert(entity);
-        } else {
-            held_.erase(entity);
-        }
+        return held ? held_.insert(entity).second : held_.erase(entity) > 0;
+    }
+    std::size_t held() const {
+        const std::lock_guard lock(mutex_);
+        return held_.size();
     }
     bool holds(const std::string& entity) const {
         const std::lock_guard lock(mutex_);

@@ -15,6 +15,13 @@ std::shared_ptr<const std::string> Entities::serverOf(const std::string& entity,
     return {std::move(record), server};
 }
 
+std::shared_ptr<const std::string> Entities::nameOf(const std::string& entity, Lane lane) const {
+    auto record = known_.find(entity, index(lane));
+    if (!record) return nullptr;
+    const auto* name = &record->registration.name;
+    return {std::move(record), name};
+}
+
 std::size_t Entities::targets(const std::string& entity) const {
     if (entity.empty()) return known();
     return has(entity, Lane::Signal) ? 1 : 0;
@@ -56,9 +63,10 @@ std::optional<Entities::News> Entities::update(Presence presence, Registration r
     if (of_another) next->number = 0;  // that server counts for itself
     next->registration = std::move(registration);
     const RecordRef record = std::move(next);
+    const bool renamed = known && found->second->registration.name != record->registration.name;
     countBusy(known ? found->second.get() : nullptr, record.get());
     records_[record->registration.entity] = record;
-    if (!known || of_another) known_.put(record->registration.entity, record);
+    if (!known || of_another || renamed) known_.put(record->registration.entity, record);
     return News{known ? Presence::Changed : Presence::Joined, record, false};
 }
 

@@ -27,9 +27,9 @@ namespace axon::front_end_server {
 /// watched closely. Whether all that a server published has come says MissedNews; the only entity server is
 /// never asked.
 ///
-/// Threads: serverOf(), has(), targets() and known() from any, without a lock: they read immutable tables, of
-/// which each lane has its own references. The rest is not thread-safe: its owner's mutex guards it. Failure:
-/// none.
+/// Threads: serverOf(), nameOf(), has(), each(), targets() and known() from any, without a lock: they read
+/// immutable tables, of which each lane has its own references. The rest is not thread-safe: its owner's
+/// mutex guards it. Failure: none.
 class Entities {
   public:
     /// Replaced whole.
@@ -58,12 +58,20 @@ class Entities {
 
     /// Which entity server has it; null where the entity is not known.
     std::shared_ptr<const std::string> serverOf(const std::string& entity, Lane lane) const;
+    /// What it is called; null where the entity is not known.
+    std::shared_ptr<const std::string> nameOf(const std::string& entity, Lane lane) const;
     bool has(const std::string& entity, Lane lane) const {
         return known_.find(entity, index(lane)) != nullptr;
     }
     /// How many a signal to it reaches; empty = all.
     std::size_t targets(const std::string& entity) const;
     std::size_t known() const { return known_.size(); }
+
+    /// Calls `use(record)` for each, of which server and name are up to date; without a lock.
+    template <class Use>
+    void each(Lane lane, Use&& use) const {
+        known_.each(use, index(lane));
+    }
 
     const Records& records() const { return records_; }
     /// Null where it is not known.
@@ -87,7 +95,8 @@ class Entities {
     const bool alone_;
     OtherServers::Group& servers_;
     const Clock& clock_;
-    SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane; of these only the server is up to date
+    SnapshotTable<RecordRef, 2>
+        known_;  // by entity, for each lane; of these only server and name are up to date
     Records records_;
     MissedNews missed_;
     // Entities that another server than the record's has spoken of.

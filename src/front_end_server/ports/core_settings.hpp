@@ -24,6 +24,11 @@ struct FrontEndCoreSettings {
     std::size_t clients_remembered = 1024;  ///< that are gone, and might be granted an entity late
     std::uint32_t messages_per_second =
         100'000;  ///< control messages of one client, and signals; above is a flood
+    // Of one user, in all sessions at this server; of a session without a user, alone. Stops are not counted.
+    std::size_t user_sessions = 256;
+    std::size_t user_check_outs = 1024;
+    std::uint32_t user_messages_per_second = 200'000;
+    std::uint32_t user_bytes_per_second = 512 * 1024 * 1024;  ///< droppable data included
     /// Entities that one client may drill in a second; what begins within is carried out, and the next
     /// refused.
     std::uint32_t drills_per_second = kDrillsPerSecond;

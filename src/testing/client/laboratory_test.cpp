@@ -239,7 +239,7 @@ TEST(Laboratory, StreamsReachWhoWatchesThem) {
     std::atomic<int> samples{0};
     std::string json;
     const auto watching = world.client->watch("Rover", {"position"}, [&](const client::Sample& sample) {
-        if (samples == 0) json = sample.json;  // later ones come while the test reads it
+        if (samples == 0) json = sample.json();  // later ones come while the test reads it
         ++samples;
     });
     ASSERT_TRUE(watching) << watching.refusal().message;

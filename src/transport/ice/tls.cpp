@@ -6,8 +6,6 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cstdint>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <utility>
@@ -15,7 +13,6 @@
 #include "certificates/certificate.hpp"
 #include "certificates/folder.hpp"
 #include "common/rate_limit.hpp"
-#include "transport/ice/tls_refusals.hpp"
 
 namespace axon::transport {
 namespace {
@@ -83,14 +80,17 @@ const char* meaningOf(const std::string& said) {
     return nullptr;
 }
 
-/// "10.0.0.7:50122" of a line "remote address = …".
-std::string remoteOf(const std::string& message) {
-    constexpr std::string_view kBefore = "remote address = ";
-    const auto at = message.find(kBefore);
+/// "10.0.0.7:50122" of a line "remote address = …", and of "local address = …".
+std::string addressIn(const std::string& message, const std::string& side) {
+    const auto before = side + " address = ";
+    const auto at = message.find(before);
     if (at == std::string::npos) return "an unknown address";
-    const auto begin = at + kBefore.size();
+    const auto begin = at + before.size();
     return message.substr(begin, message.find('\n', begin) - begin);
 }
+
+/// What IceSSL says where the verifier of ours has refused, which has told why itself.
+constexpr const char* kRefusedByUs = "certificate verification failed";
 
 /// The plug-in's; null without it.
 std::shared_ptr<IceSSL::Plugin> pluginOf(const std::shared_ptr<Ice::Communicator>& communicator) {
@@ -102,33 +102,6 @@ std::string onOneLine(std::string text) {
     return text;
 }
 
-/// Of the process, as Ice's log is.
-class Watches {
-  public:
-    std::uint64_t add(RefusedHandshake told) {
-        const std::lock_guard lock(mutex_);
-        told_.emplace(++last_, std::move(told));
-        return last_;
-    }
-    void remove(std::uint64_t number) {
-        const std::lock_guard lock(mutex_);
-        told_.erase(number);
-    }
-    void tell(const std::string& peer, const std::string& why) {
-        const std::lock_guard lock(mutex_);
-        for (const auto& [number, told] : told_) told(peer, why);
-    }
-
-  private:
-    std::mutex mutex_;
-    std::uint64_t last_ = 0;
-    std::map<std::uint64_t, RefusedHandshake> told_;
-};
-Watches& watches() {
-    static Watches its;
-    return its;
-}
-
 /// Ice's logger of a communicator that speaks TLS. Ice tells nobody but its traces why it has not accepted a
 /// connection; of these the one is passed on, at most ten in a second, as strangers cause it. Where the
 /// configuration asks for traces all are.
@@ -138,12 +111,7 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     void print(const std::string& message) override { log()->info("{}", onOneLine(message)); }
     void trace(const std::string& category, const std::string& message) override {
         if (message.rfind("failed to accept ssl connection", 0) == 0) {
-            const auto* means = meaningOf(message);
-            const auto peer = remoteOf(message);
-            const std::string why = means != nullptr ? means : kWithoutReason;
-            watches().tell(peer, why);
-            if (limit_.admit(clock_.now()))
-                log()->warn("TLS: a connection from {} was refused: {} ({})", peer, why, said(message));
+            refused(message);
         } else if (all_) {
             log()->info("{}: {}", category, onOneLine(message));
         }
@@ -153,7 +121,27 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     std::string getPrefix() override { return {}; }
     std::shared_ptr<Ice::Logger> cloneWithPrefix(const std::string&) override { return shared_from_this(); }
 
+    using Refused = std::function<void(const std::string&, const std::string&, const std::string&)>;
+    void tell(Refused refused) {
+        const std::lock_guard lock(mutex_);
+        refused_ = std::move(refused);
+    }
+
   private:
+    void refused(const std::string& message) {
+        const auto text = said(message);
+        if (text.find(kRefusedByUs) != std::string::npos && meaningOf(message) == nullptr) return;
+        const auto* const means = meaningOf(message) != nullptr ? meaningOf(message) : kWithoutReason;
+        const auto peer = addressIn(message, "remote");
+        if (limit_.admit(clock_.now()))
+            log()->warn("TLS: a connection from {} was refused: {} ({})", peer, means, text);
+        Refused tell;
+        {
+            const std::lock_guard lock(mutex_);
+            tell = refused_;
+        }
+        if (tell) tell(peer, addressIn(message, "local"), means);
+    }
     /// Without file, line and addresses.
     static std::string said(const std::string& message) {
         constexpr std::string_view kBefore = "exception: ";
@@ -165,13 +153,25 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     const bool all_;
     const SteadyClock clock_{};
     RateLimit limit_{10};
+    std::mutex mutex_;
+    Refused refused_;  // guarded by mutex_
 };
 
-}  // namespace
-
-std::shared_ptr<void> watchRefusedHandshakes(RefusedHandshake told) {
-    return {nullptr, [number = watches().add(std::move(told))](void*) { watches().remove(number); }};
+/// Whether a client or an Entity Manager may have reached it.
+bool answersPeers(const PeerCertificate& its) {
+    using certificates::Kind;
+    const auto kind = certificates::kindOf(its.unit);
+    return kind && isCalled(*kind) && *kind != Kind::Storm;
 }
+
+std::string peerOf(const IceSSL::ConnectionInfo& info) {
+    for (auto layer = info.underlying; layer; layer = layer->underlying)
+        if (const auto ip = std::dynamic_pointer_cast<Ice::IPConnectionInfo>(layer))
+            return ip->remoteAddress + ":" + std::to_string(ip->remotePort);
+    return "an unknown address";
+}
+
+}  // namespace
 
 std::optional<PeerCertificate> certificateOf(const Ice::Connection& connection) {
     const auto info = tlsOf(connection);
@@ -268,13 +268,29 @@ void checkServers(const std::shared_ptr<Ice::Communicator>& communicator) {
     plugin->setCertificateVerifier([](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
         if (info->incoming) return true;  // the gates say what they expect, and why not
         const auto its = contentOf(*info);
-        if (its && (its->unit == "server" || its->unit == "router")) return true;
+        if (its && answersPeers(*its)) return true;
         log()->warn(
             "TLS: the called machine shows the certificate of the {} '{}'; expected one of a server: it is "
             "not the server, or has the wrong certificate",
             its ? its->unit : std::string("unknown"), its ? its->name : std::string());
         return false;
     });
+}
+
+void judgeCertificates(const std::shared_ptr<Ice::Communicator>& communicator,
+                       std::function<bool(const Judged&)> accept) {
+    const auto plugin = pluginOf(communicator);
+    if (!plugin) return;
+    plugin->setCertificateVerifier(
+        [accept = std::move(accept)](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
+            return accept({info->incoming, info->adapterName, peerOf(*info), contentOf(*info)});
+        });
+}
+
+void onRefused(const std::shared_ptr<Ice::Communicator>& communicator,
+               std::function<void(const std::string&, const std::string&, const std::string&)> refused) {
+    if (const auto its = std::dynamic_pointer_cast<TlsLog>(communicator->getLogger()))
+        its->tell(std::move(refused));
 }
 
 std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_up) {

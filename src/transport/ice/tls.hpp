@@ -48,6 +48,23 @@ void prepareTls(Ice::InitializationData& init, const std::map<std::string, std::
 /// The same, afterwards: who is called must show the certificate of a server or a router.
 void checkServers(const std::shared_ptr<Ice::Communicator>& communicator);
 
+/// A connection over TLS of which IceSSL has verified the certificate.
+struct Judged {
+    bool incoming = false;
+    std::string adapter;  ///< of an incoming one
+    std::string peer;     ///< the address at the other end
+    std::optional<PeerCertificate> certificate;
+};
+/// In place of checkServers(): `accept` decides of each connection before anything has been sent or read. On
+/// Ice's threads. Whoever refuses says why.
+void judgeCertificates(const std::shared_ptr<Ice::Communicator>& communicator,
+                       std::function<bool(const Judged&)> accept);
+/// Told of each connection that IceSSL itself has refused: the address of the other end and the one here, and
+/// why. On Ice's threads, and as often as strangers cause it.
+void onRefused(
+    const std::shared_ptr<Ice::Communicator>& communicator,
+    std::function<void(const std::string& peer, const std::string& local, const std::string& why)> refused);
+
 /// Why an Ice exception of TLS was thrown, and what to do; nothing for others. `setting_up`: the connection
 /// was being made, and a loss of it means that the other side did not like our certificate (TLS 1.3 tells the
 /// caller nothing else).

@@ -21,7 +21,9 @@ bool isLoopback(const std::string& peer) {
 std::optional<std::string> RouterConnections::objection(const Ice::Connection& connection) const {
     const auto peer = DirectConnection::peerOf(connection);
     if (const auto certificate = certificateOf(connection)) {
-        if (certificate->unit == "router" || certificate->unit == "server") return std::nullopt;
+        using certificates::Kind;
+        for (const auto kind : {Kind::Router, Kind::Server, own_kind_})
+            if (certificate->unit == toString(kind)) return std::nullopt;
         return "its certificate is that of the " + certificate->unit + " " + certificate->name;
     }
     if (!isLoopback(peer)) return "no certificate of a router";

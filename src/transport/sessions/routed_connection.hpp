@@ -11,6 +11,7 @@
 #include <set>
 #include <string>
 
+#include "certificates/certificate.hpp"
 #include "common/result.hpp"
 #include "transport/ice/login.hpp"
 #include "transport/ice/peer_connection.hpp"
@@ -28,11 +29,15 @@ class RoutedConnection;
 /// Threads: any. Lifetime: outlives the communicators. Bound: as many as there are connections and sessions.
 class RouterConnections {
   public:
-    /// Null `logins`: every process of this machine may be a router.
-    explicit RouterConnections(Logins* logins) : logins_(logins) {}
+    /// Null `logins`: every process of this machine may be a router. `own_kind`: of the certificates of the
+    /// other servers of this kind, where there are several.
+    explicit RouterConnections(Logins* logins, certificates::Kind own_kind = certificates::Kind::Server)
+        : logins_(logins), own_kind_(own_kind) {}
+    certificates::Kind ownKind() const { return own_kind_; }
 
     /// Whether the other end may speak for others: on this machine a process that Logins allows, from
-    /// elsewhere one whose certificate says OU=router or OU=server. PERMISSION_DENIED otherwise, with the
+    /// elsewhere one whose certificate says OU=router, OU=server or the
+    /// kind of the other servers of this kind. PERMISSION_DENIED otherwise, with the
     /// reason. Finding out may take a look at all connections of this machine; each is asked about once, as
     /// thousands may come back together after a restart.
     Result<void> admit(const std::shared_ptr<Ice::Connection>& connection);
@@ -49,6 +54,7 @@ class RouterConnections {
     void closed(const Ice::Connection* connection);
 
     Logins* const logins_;
+    const certificates::Kind own_kind_;
     std::mutex mutex_;
     // Guarded by mutex_; an entry for each admitted connection until it closes:
     std::map<const Ice::Connection*, std::map<const RoutedConnection*, std::weak_ptr<RoutedConnection>>>

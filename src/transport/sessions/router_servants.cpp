@@ -13,6 +13,8 @@
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
+#include "transport/ice/link_trust.hpp"
+#include "transport/ice/tls.hpp"
 
 namespace axon::transport {
 namespace {
@@ -57,6 +59,24 @@ bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason
     return who.ok();
 }
 
+/// The session manager of the other server `name`: over TLS by the connection over which it has shown that it
+/// is this server. Throws what Ice throws, and CannotCreateSessionException where it is somebody else.
+std::shared_ptr<Glacier2::SessionManagerPrx> verified(
+    const std::shared_ptr<Glacier2::SessionManagerPrx>& neighbour, const std::string& name,
+    certificates::Kind kind) {
+    // One that is cached would be returned also when it is closed.
+    const auto over = neighbour->ice_connectionCached(false)->ice_getConnection();
+    if (!over || !isTls(*over)) return neighbour;
+    const auto why = notServer(*over, kind, name);
+    // That of a server without a kind of its own has the name of its machine.
+    if (why && notServer(*over, certificates::Kind::Server, {})) {
+        over->close(Ice::ConnectionClose::Forcefully);
+        cannotCreate("the server at Server.Peer." + name + " is not used: the certificate that it shows " +
+                     *why);
+    }
+    return Ice::uncheckedCast<Glacier2::SessionManagerPrx>(over->createProxy(neighbour->ice_getIdentity()));
+}
+
 /// `pass_on(neighbour)` asks the server that has the other lane's session.
 template <class PassOn>
 std::shared_ptr<Glacier2::SessionPrx> createSession(
@@ -87,7 +107,7 @@ std::shared_ptr<Glacier2::SessionPrx> createSession(
                              ", whose token came with the request; give it Server.Peer." +
                              server.substr(0, 64));
             try {
-                return pass_on(neighbour->second);
+                return pass_on(verified(neighbour->second, server, door.routers.ownKind()));
             } catch (const Glacier2::CannotCreateSessionException&) {
                 throw;
             } catch (const Ice::Exception&) {

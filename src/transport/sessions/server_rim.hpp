@@ -30,6 +30,7 @@ namespace axon::transport {
 ///     Listener               hears the other servers: Listener(Core&, Lane, Via)
 ///     make(lane, peer, who, display name)   a Session
 ///     kVerify, kVouched      of Logins: how this kind of peer logs in
+///     kCertificate           the kind of the certificate of one of several
 ///     kServer, kGate, kTimer the names of the adapters ("EntityServer"), the gate, the timer's thread
 ///     kPeer                  who opens sessions: "an Entity Manager"
 ///
@@ -59,11 +60,16 @@ class ServerRim {
         data_adapter_->add(std::make_shared<typename Kind::Gate>(data_lane_), gate);
         signal_adapter_->add(std::make_shared<typename Kind::Gate>(signal_lane_), gate);
         if (!settings.router_endpoint.empty()) {
-            routers_ = std::make_unique<RouterConnections>(settings.logins);
+            routers_ = std::make_unique<RouterConnections>(settings.logins, Kind::kCertificate);
             door_ = std::make_unique<RouterDoor>(
                 makeDoor<Kind>(data_lane_, data_adapter_, signal_lane_, signal_adapter_, *routers_));
             door_->neighbours = neighboursOf(*data, settings.neighbours);
             router_adapter_ = listenForRouters(*data, kName + "Router", settings.router_endpoint, *door_);
+            if (settings.links != nullptr)
+                settings.links->admit(
+                    *router_adapter_,
+                    {certificates::Kind::Router, certificates::Kind::Server, Kind::kCertificate},
+                    LinkTrust::Bare::Judged);
         }
         if (settings.here == nullptr) {
             others_ = listenToServers<typename Kind::Listener>(core, Kind::kServer, settings, *data);

@@ -10,6 +10,7 @@
 
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
+#include "transport/ice/link_trust.hpp"
 #include "transport/ice/timer_thread.hpp"
 
 namespace axon::transport {
@@ -28,6 +29,11 @@ std::shared_ptr<Ice::ObjectPrx> parse(Ice::Communicator& communicator, const std
         return nullptr;
     }
 }
+
+/// Who answers is somebody else.
+class NoStorm : public std::runtime_error {
+    using runtime_error::runtime_error;
+};
 
 template <class Prx>
 std::shared_ptr<Prx> patient(const std::shared_ptr<Prx>& proxy) {
@@ -77,16 +83,43 @@ class StormTopics::Search {
             }
             lookForOthers();
             return clock_.now() + kLook;
+        } catch (const NoStorm& other) {
+            const bool known = std::exchange(said_, true);
+            lost();
+            if (!known) settings_.links->noteWrongServer(settings_.manager, other.what());
+            return clock_.now() + kLook;
         } catch (const Ice::Exception& error) {
-            const bool stood = topic_ != nullptr;
-            topic_ = nullptr;
-            if (stood) changed_({});
+            lost();
             if (!std::exchange(said_, true)) {
                 note_("IceStorm is out of reach (" + settings_.manager + ": " +
-                      translate(std::current_exception()).message +
+                      translate(std::current_exception(), settings_.links != nullptr).message +
                       "): only signals reach the other servers; fix: start icebox");
             }
             return clock_.now() + kTryAgain;
+        }
+    }
+
+    void lost() {
+        const bool stood = topic_ != nullptr;
+        topic_ = nullptr;
+        if (stood) changed_({});
+    }
+
+    /// As it is, or over the connection to who has shown that it is IceStorm.
+    template <class Prx>
+    std::shared_ptr<Prx> reached(const std::shared_ptr<Prx>& proxy) const {
+        if (!over_) return patient(proxy);
+        return Ice::uncheckedCast<Prx>(over_->createProxy(proxy->ice_getIdentity()))
+            ->ice_invocationTimeout(kPatienceMs);
+    }
+    std::shared_ptr<IceStorm::TopicManagerPrx> manager() const { return reached(manager_); }
+
+    void connect() {
+        if (settings_.links == nullptr) return;
+        over_ = manager_->ice_secure(true)->ice_connectionCached(false)->ice_getConnection();
+        if (const auto why = notServer(*over_, certificates::Kind::Storm, {})) {
+            over_->close(Ice::ConnectionClose::Forcefully);
+            throw NoStorm(*why);
         }
     }
 
@@ -109,9 +142,9 @@ class StormTopics::Search {
         if (clock_.now() < look_for_others_) return;
         look_for_others_ = clock_.now() + kLookForOthers;
         try {
-            for (const auto& [name, topic] : manager_->retrieveAll()) {
+            for (const auto& [name, topic] : manager()->retrieveAll()) {
                 const auto contract = contractOfOther(settings_.subscribe_to, name);
-                if (!contract || others_.contains(*contract) || patient(topic)->getSubscribers().empty())
+                if (!contract || others_.contains(*contract) || reached(topic)->getSubscribers().empty())
                     continue;
                 others_.insert(*contract);
                 note_("there are subscriptions of servers of contract " + std::to_string(*contract) +
@@ -127,6 +160,7 @@ class StormTopics::Search {
     std::vector<std::string> join() {
         topic_ = nullptr;
         published_.clear();
+        connect();
         const auto topic = find(settings_.subscribe_to);
         topic->unsubscribe(subscriber_);  // what an earlier start has left behind leads to another port
         try {
@@ -147,11 +181,11 @@ class StormTopics::Search {
         const auto name = ofContract(topic);
         while (true) {
             try {
-                return patient(manager_->retrieve(name));
+                return reached(manager()->retrieve(name));
             } catch (const IceStorm::NoSuchTopic&) {
             }
             try {
-                return patient(manager_->create(name));
+                return reached(manager()->create(name));
             } catch (const IceStorm::TopicExists&) {  // another server was faster
             }
         }
@@ -165,6 +199,7 @@ class StormTopics::Search {
     std::shared_ptr<IceStorm::TopicManagerPrx> manager_;
     std::shared_ptr<Ice::ObjectPrx> subscriber_;
     // Of its thread:
+    std::shared_ptr<Ice::Connection> over_;      // null: the links are plain
     std::shared_ptr<IceStorm::TopicPrx> topic_;  // null: searching
     std::vector<std::shared_ptr<IceStorm::TopicPrx>> published_;
     bool said_ = false;

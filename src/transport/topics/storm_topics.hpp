@@ -13,6 +13,8 @@ class Communicator;
 
 namespace axon::transport {
 
+class LinkTrust;
+
 /// The two topics between the servers (thesis figures 3.14, 3.15). At IceStorm the number of the contracts
 /// follows (contract.hpp).
 inline constexpr const char* kFrontEndToEntityTopic = "FrontEndToEntity";
@@ -23,6 +25,8 @@ struct StormSettings {
     std::string subscribe_to;
     std::string subscriber;  ///< a stringified proxy, whose identity is the same at each start of this server
     std::vector<std::string> publish_to;
+    /// Of a server whose links are under TLS; null: they are plain.
+    LinkTrust* links = nullptr;
 };
 
 /// Keeps this server's topics and its subscription in IceStorm: looks once a second whether the subscription
@@ -32,6 +36,9 @@ struct StormSettings {
 ///
 /// Every ten seconds it looks for servers of other editions of the contracts at the same IceStorm; `note` is
 /// called once for each edition.
+///
+/// Over TLS, who answers must show a certificate of the kind `storm`, and all calls go over that very
+/// connection. What IceStorm says then is believed, also where its topics are.
 ///
 /// The subscription is ordered and for ever: one message at a time, and no message that fails ends it.
 /// States: searching ─ changed(publishers) ► found ─ a look failed: changed({}) ► searching. Threads: one of

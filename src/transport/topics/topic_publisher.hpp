@@ -5,7 +5,10 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
+#include <exception>
 #include <functional>
+#include <future>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -16,6 +19,7 @@
 #include "common/result.hpp"
 #include "common/snapshot.hpp"
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/link_trust.hpp"
 #include "transport/outbox/forward.hpp"
 #include "transport/outbox/proxy_sender.hpp"
 
@@ -30,24 +34,42 @@ namespace axon::transport {
 /// which leaves alone what leads where it led, for messages may wait there. A connection that failed stays
 /// closed until reopen(), which the owner calls now and then. Threads: any; sending reads immutable lists, of
 /// which each lane has its own.
+///
+/// Over TLS a place is not there before its connection has been opened and the server at its other end has
+/// shown the certificate of its kind and name; all messages go over that very connection. Until then, and
+/// while it is opened again after a loss, messages go the other way where there is one, and are lost
+/// otherwise, as while the topic is down.
 template <class Prx>
 class TopicPublisher {
   public:
     /// `data`, `signal`: of their connections; null where nothing will be published. `who` is for the log.
+    /// `links`: of a server whose links are under TLS, and `neighbours` is the kind of the servers; null: the
+    /// links are plain.
     TopicPublisher(std::shared_ptr<Ice::Communicator> data, std::shared_ptr<Ice::Communicator> signal,
-                   std::string who)
+                   std::string who, LinkTrust* links = nullptr,
+                   certificates::Kind neighbours = certificates::Kind::Server)
         : data_communicator_(std::move(data)),
           signal_communicator_(std::move(signal)),
-          who_(std::move(who)) {}
+          who_(std::move(who)),
+          links_(links),
+          neighbours_(neighbours) {}
 
     /// The publishers of the topic, or its subscribers themselves, as stringified proxies; none: it is down.
+    /// Over TLS it waits for the connections, two seconds at most, so that what is published next finds the
+    /// topic.
     void publishTo(const std::vector<std::string>& proxies) {
-        const std::lock_guard lock(changes_);
         Places places;
         for (const auto& proxy : proxies) places.push_back({{}, proxy});
-        store(data_, routes(*data_communicator_, places, "axon-topic", {}, {}));
-        store(signal_,
-              routes(*signal_communicator_, places, "axon-topic-signal", OutboxLimits::ofSignals(), {}));
+        Opening opening;
+        {
+            const std::lock_guard lock(changes_);
+            store(data_, routes(*data_communicator_, places, "axon-topic", {}, {}));
+            store(signal_,
+                  routes(*signal_communicator_, places, "axon-topic-signal", OutboxLimits::ofSignals(), {}));
+            opening = toOpen({&data_, &signal_});
+        }
+        const auto deadline = std::chrono::steady_clock::now() + kPatience;
+        for (const auto& opened : open(opening)) opened.wait_until(deadline);
     }
     void reach(const std::vector<ServerAnnouncement>& neighbours) {
         Places signals;
@@ -56,31 +78,39 @@ class TopicPublisher {
             signals.push_back({neighbour.name, neighbour.signals});
             if (!neighbour.messages.empty()) messages.push_back({neighbour.name, neighbour.messages});
         }
-        const std::lock_guard lock(changes_);
-        store(direct_, routes(*signal_communicator_, signals, "axon-direct", OutboxLimits::ofSignals(),
-                              *direct_.load()));
-        store(direct_data_,
-              routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
+        Opening opening;
+        {
+            const std::lock_guard lock(changes_);
+            store(direct_, routes(*signal_communicator_, signals, "axon-direct", OutboxLimits::ofSignals(),
+                                  *direct_.load()));
+            store(direct_data_,
+                  routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
+            opening = toOpen({&direct_, &direct_data_});
+        }
+        open(opening);
     }
     /// Gives those whose connection failed another one.
     void reopen() {
-        const std::lock_guard lock(changes_);
-        for (auto* list : {&data_, &signal_, &direct_, &direct_data_}) {
-            const bool for_signals = list == &signal_ || list == &direct_;
-            auto all = *list->load();
-            bool changed = false;
-            for (auto& route : all) {
-                if (!route.sender->closed()) continue;
-                try {
-                    route.sender =
-                        sender(route.proxy, for_signals ? OutboxLimits::ofSignals() : OutboxLimits{});
-                } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
-                    return;
+        Opening opening;
+        {
+            const std::lock_guard lock(changes_);
+            for (auto* list : {&data_, &signal_, &direct_, &direct_data_}) {
+                auto all = *list->load();
+                bool changed = false;
+                for (auto& route : all) {
+                    if (route.sender == nullptr || !route.sender->closed()) continue;
+                    try {
+                        route.sender = links_ != nullptr ? nullptr : sender(route.proxy, limitsOf(*list));
+                    } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
+                        return;
+                    }
+                    changed = true;
                 }
-                changed = true;
+                if (changed) store(*list, std::move(all));
             }
-            if (changed) store(*list, std::move(all));
+            if (links_ != nullptr) opening = toOpen({&data_, &signal_, &direct_, &direct_data_});
         }
+        open(opening);
     }
 
     /// Before anything is announced: where this server takes signals and messages directly, as stringified
@@ -109,7 +139,8 @@ class TopicPublisher {
     bool toAll(Arguments&&... arguments) const {
         const auto routes = data_.load();  // held, because another thread may store a new one
         bool taken = true;
-        for (const auto& route : *routes) taken = route.sender->send(arguments...) && taken;
+        for (const auto& route : *routes)
+            if (route.sender) taken = route.sender->send(arguments...) && taken;
         return taken;
     }
     /// On the signal lane: to each neighbour, then over the topic.
@@ -117,13 +148,15 @@ class TopicPublisher {
     void signalToAll(Arguments&&... arguments) const {
         toNeighbours(Lane::Signal, arguments...);
         const auto routes = signal_.load();  // held, because another thread may store a new one
-        for (const auto& route : *routes) route.sender->send(arguments...);
+        for (const auto& route : *routes)
+            if (route.sender) route.sender->send(arguments...);
     }
     /// To each neighbour, straight.
     template <class... Arguments>
     void toNeighbours(Lane lane, Arguments&&... arguments) const {
         const auto routes = directRoutes(lane);
-        for (const auto& route : *routes) route.sender->send(arguments...);
+        for (const auto& route : *routes)
+            if (route.sender) route.sender->send(arguments...);
     }
     /// To this server alone: straight, or by the topic while it is not reached.
     template <class... Arguments>
@@ -137,7 +170,7 @@ class TopicPublisher {
         const auto routes = directRoutes(lane);
         const auto found = std::find_if(routes->begin(), routes->end(),
                                         [&](const Route& route) { return route.place.server == server; });
-        if (found == routes->end()) return std::nullopt;
+        if (found == routes->end() || !found->sender) return std::nullopt;
         return found->sender->send(std::forward<Arguments>(arguments)...);
     }
 
@@ -148,12 +181,111 @@ class TopicPublisher {
         bool operator==(const Place&) const = default;
     };
     using Places = std::vector<Place>;
+    /// To open a connection over TLS. Guarded by changes_.
+    struct Attempt {
+        bool runs = false;
+        std::chrono::steady_clock::time_point not_before;
+        std::string complaint;  // the last one
+    };
     struct Route {
         Place place;
         std::shared_ptr<Prx> proxy;
-        std::shared_ptr<const ProxySender<Prx>> sender;
+        std::shared_ptr<const ProxySender<Prx>> sender;  // null: over TLS, not opened yet
+        /// Null over plain TCP.
+        std::shared_ptr<Attempt> attempt;
     };
     using Routes = std::vector<Route>;
+    struct ToOpen {
+        Snapshot<Routes>* list;
+        Route route;
+    };
+    using Opening = std::vector<ToOpen>;
+    static constexpr std::chrono::seconds kPatience{2};
+    static constexpr std::chrono::seconds kTryAgain{1};
+
+    OutboxLimits limitsOf(const Snapshot<Routes>& list) const {
+        return &list == &signal_ || &list == &direct_ ? OutboxLimits::ofSignals() : OutboxLimits{};
+    }
+    /// Of these lists, what is to be opened now. `changes_` is held.
+    Opening toOpen(const std::vector<Snapshot<Routes>*>& lists) const {
+        Opening opening;
+        const auto now = std::chrono::steady_clock::now();
+        for (auto* list : lists) {
+            const auto routes = list->load();
+            for (const auto& route : *routes) {
+                if (route.sender || !route.attempt || route.attempt->runs || now < route.attempt->not_before)
+                    continue;
+                route.attempt->runs = true;
+                opening.push_back({list, route});
+            }
+        }
+        return opening;
+    }
+    /// Returns what is ready when each of them is there or has failed. `changes_` is not held.
+    std::vector<std::future<void>> open(const Opening& opening) {
+        std::vector<std::future<void>> opened;
+        for (const auto& [list, route] : opening) {
+            const auto done = std::make_shared<std::promise<void>>();
+            opened.push_back(done->get_future());
+            try {
+                route.proxy->ice_getConnectionAsync(
+                    [this, list = list, route = route, done](const std::shared_ptr<Ice::Connection>& to) {
+                        connected(*list, route, to);
+                        done->set_value();
+                    },
+                    [this, route = route, done](const std::exception_ptr& error) {
+                        unreached(route, error);
+                        done->set_value();
+                    });
+            } catch (const Ice::Exception&) {
+                unreached(route, std::current_exception());
+                done->set_value();
+            }
+        }
+        return opened;
+    }
+    void connected(Snapshot<Routes>& list, const Route& route, const std::shared_ptr<Ice::Connection>& to) {
+        const auto kind = route.place.server.empty() ? certificates::Kind::Storm : neighbours_;
+        const auto why = notServer(*to, kind, route.place.server);
+        if (why) {
+            to->close(Ice::ConnectionClose::Forcefully);
+            return failed(route, *why, true);
+        }
+        const std::lock_guard lock(changes_);
+        route.attempt->runs = false;
+        route.attempt->complaint.clear();
+        auto all = *list.load();
+        for (auto& one : all) {
+            if (one.attempt != route.attempt) continue;
+            try {
+                const auto fixed = Ice::uncheckedCast<Prx>(to->createProxy(route.proxy->ice_getIdentity()))
+                                       ->ice_oneway()
+                                       ->ice_invocationTimeout(-1);
+                one.sender = sender(fixed, limitsOf(list));
+            } catch (const Ice::Exception&) {  // it has closed meanwhile, or the server is ending
+                return;
+            }
+            return store(list, std::move(all));
+        }
+    }
+    void unreached(const Route& route, const std::exception_ptr& error) {
+        try {
+            std::rethrow_exception(error);
+        } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
+        } catch (const std::exception&) {
+            failed(route, translate(error, true).message);
+        }
+    }
+    /// It is tried again, and told of once for each reason.
+    void failed(const Route& route, const std::string& why, bool wrong_server = false) {
+        const std::lock_guard lock(changes_);
+        route.attempt->runs = false;
+        route.attempt->not_before = std::chrono::steady_clock::now() + kTryAgain;
+        if (std::exchange(route.attempt->complaint, why) == why) return;
+        const auto called = route.place.server.empty() ? "IceStorm" : "server " + route.place.server;
+        if (wrong_server) return links_->noteWrongServer(called, why);
+        spdlog::warn("{}: {} is out of reach: {}", who_, called, why);
+    }
 
     /// Held by the caller, because another thread may store new ones.
     std::shared_ptr<const Routes> directRoutes(Lane lane) const {
@@ -184,7 +316,13 @@ class TopicPublisher {
                                  ->ice_oneway()
                                  ->ice_invocationTimeout(-1)
                                  ->ice_connectionId(connection);
-                routes.push_back({place, proxy, sender(proxy, limits)});
+                if (links_ != nullptr) {
+                    // A proxy that caches its connection would return it also when it is closed.
+                    const auto asked = proxy->ice_secure(true)->ice_connectionCached(false);
+                    routes.push_back({place, asked, nullptr, std::make_shared<Attempt>()});
+                } else {
+                    routes.push_back({place, proxy, sender(proxy, limits), nullptr});
+                }
             } catch (const Ice::Exception& error) {
                 spdlog::warn("{}: '{}' is not a proxy to which messages can be published ({})", who_,
                              place.proxy, error.ice_id());
@@ -196,6 +334,8 @@ class TopicPublisher {
     const std::shared_ptr<Ice::Communicator> data_communicator_;
     const std::shared_ptr<Ice::Communicator> signal_communicator_;
     const std::string who_;
+    LinkTrust* const links_;  // null: the links are plain
+    const certificates::Kind neighbours_;
     std::string own_signals_, own_messages_;  // constant after setDirect()
     std::mutex changes_;                      // of the lists, one at a time
     Snapshot<Routes> data_;

@@ -6,6 +6,7 @@ import { formatCount, formatMs } from "../words/format";
 const EDGES = [1, 2, 3, 5, 8, 12, 20, 30, 50, 80, 120, 200, 300, 500, 1000] as const;
 const HIGH = 72;
 const COLUMN = 20;
+const UNIT = 18; // beside the last edge
 
 /** The value below which so many of them are. */
 export function quantile(sorted: readonly number[], share: number): number {
@@ -34,7 +35,7 @@ export function Histogram({ title, about, values, empty }: Props): preact.JSX.El
             <h3>{title}</h3>
             <p class="quiet">{about}</p>
             {values.length > 0 && (
-                <svg viewBox={`0 0 ${wide} ${HIGH + 16}`} role="img" aria-label={`${title}: ${words}`}>
+                <svg viewBox={`0 0 ${wide + UNIT} ${HIGH + 16}`} role="img" aria-label={`${title}: ${words}`}>
                     <line x1="0" x2={wide} y1={HIGH + 0.5} y2={HIGH + 0.5} class="base" />
                     {counts.map((count, i) => {
                         const high = count === 0 ? 0 : Math.max((count / most) * (HIGH - 6), 2);
@@ -47,7 +48,7 @@ export function Histogram({ title, about, values, empty }: Props): preact.JSX.El
                             </text>
                         ) : null,
                     )}
-                    <text x={wide} y={HIGH + 13} text-anchor="end">
+                    <text x={wide + UNIT} y={HIGH + 13} text-anchor="end">
                         ms
                     </text>
                 </svg>

@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "audit/note.hpp"
+#include "certificates/certificate.hpp"
+#include "common/clock.hpp"
+#include "common/rate_limit.hpp"
+#include "transport/ice/login.hpp"
+
+namespace axon::transport {
+
+/// What somebody did who speaks in a name (LinkTrust::speaksAs).
+inline constexpr const char* kAnnounced = "announced itself as";
+
+/// Why the other end of this connection is not a server of this kind, and of this name where one is given;
+/// nothing: it is. A text for a person that follows "the certificate". Reads the certificate each time.
+std::optional<std::string> notServer(const Ice::Connection& connection, certificates::Kind kind,
+                                     const std::string& name);
+
+/// Who may be at the other end of the links of one of several servers that are under TLS
+/// (docs/reference/tls.md, "Links between servers"): the ports for other servers, IceStorm and routers, and
+/// the connections that this server opens to them.
+///
+/// Where in the flow: IceSSL has verified that a certificate is the CA's and asks here, before Ice has read
+/// anything, whether it is of a kind that may come to that adapter. The servants behind these adapters ask
+/// whether the caller may call this operation and speak in this name, and whoever opens a connection asks
+/// whether the right server has answered.
+///
+/// Every refusal is counted; the log has at most ten in a second, the audit trail as many as it takes.
+/// Threads: any. Lifetime: outlives the communicators that it guards. Bound: it remembers one name for each
+/// connection that is open.
+class LinkTrust {
+  public:
+    using Note = std::function<void(const std::string& line)>;
+    enum class Bare : std::uint8_t {
+        Refused,
+        Judged  ///< whoever shows no certificate is let in as far as IceSSL does, and somebody else decides
+    };
+
+    /// `trail` is told of each refusal; null: nobody is.
+    LinkTrust(const Clock& clock, Note note, audit::AuditTrail* trail);
+
+    /// Only certificates of these kinds may connect to this adapter. Before it is activated.
+    void admit(const Ice::ObjectAdapter& adapter, std::vector<certificates::Kind> kinds,
+               Bare bare = Bare::Refused);
+    /// Has IceSSL ask. Before the communicator has adapters that are active, or connections. `elsewhere` is
+    /// told of connections that IceSSL itself has refused at other ports than those of links.
+    using Elsewhere = std::function<void(const std::string& peer, const std::string& why)>;
+    void guard(const std::shared_ptr<Ice::Communicator>& communicator, Elsewhere elsewhere = {});
+
+    /// Who is at the other end of a connection to one of these adapters. Remembered until it closes.
+    PeerCertificate callerOf(const std::shared_ptr<Ice::Connection>& connection);
+    /// Whether the caller is of this kind; one that is not is noted and disconnected.
+    bool mayCall(const Ice::Current& current, certificates::Kind kind);
+    /// Whether the caller speaks in its own name; one that does not is noted and disconnected. `what`: for
+    /// people, such as "announced itself as".
+    bool speaksAs(const Ice::Current& current, const std::string& name, const char* what);
+
+    /// A connection that this server has opened leads to somebody else. `why` as of notServer().
+    void noteWrongServer(const std::string& called, const std::string& why);
+
+    /// How many connections and calls were refused.
+    std::uint64_t refused() const { return refused_.load(std::memory_order_relaxed); }
+
+  private:
+    struct Door {
+        std::vector<certificates::Kind> kinds;
+        Bare bare = Bare::Refused;
+    };
+    bool mayCome(const std::string& adapter, const std::string& peer,
+                 const std::optional<PeerCertificate>& certificate);
+    void refuse(const std::string& peer, const std::string& name, const std::string& why);
+    void disconnect(const Ice::Current& current, const std::string& why);
+
+    const Note note_;
+    audit::AuditTrail& trail_;
+    const Clock& clock_;
+    RateLimit lines_{10};
+    std::atomic<std::uint64_t> refused_{0};
+    std::mutex mutex_;
+    std::map<std::string, Door> doors_;                          // by the adapter's name; guarded by mutex_
+    std::set<std::uint16_t> ports_;                              // of those adapters; guarded by mutex_
+    std::map<const Ice::Connection*, PeerCertificate> callers_;  // of open connections; guarded by mutex_
+};
+
+}  // namespace axon::transport
