@@ -74,9 +74,10 @@ Answer notBuilt(const std::string& folder) {
         "<p>Expected the file <code>index.html</code> of the built console" +
             (folder.empty() ? std::string() : " in <code>" + escaped(folder) + "</code>") +
             ".</p>\n"
-            "<p>To build it from the sources, run <code>cmake --build --preset dev --target console</code>, "
-            "which "
-            "needs node and npm. "
+            "<p>To build it from the source: <code>apt install nodejs npm</code> as root; then, in the top "
+            "folder of the source, <code>cmake -DAXON_WEB=ON build/release &amp;&amp; "
+            "cmake --build build/release --target console</code>. "
+            "(If this server is that of another build folder, name that folder instead of build/release.) "
             "If the console is in another folder, name it with <code>axon-server --console-files DIR</code> "
             "or <code>Console.Files</code>. Then load this page again.</p>\n"
             "<p>Robots can be watched and commanded without it: <code>axon ls</code>, "

@@ -286,7 +286,10 @@ TEST_F(ConsoleCoreTest, AConsoleThatIsNotBuiltSaysHowToBuildIt) {
     files.all.clear();
     const auto its = answer(request("GET", "/"));
     EXPECT_EQ(its.status, 503);
-    EXPECT_THAT(*its.body, HasSubstr("--target console"));
+    EXPECT_THAT(
+        *its.body,
+        HasSubstr(
+            "cmake -DAXON_WEB=ON build/release &amp;&amp; cmake --build build/release --target console"));
     EXPECT_THAT(*its.body, HasSubstr("/share/&lt;console&gt;"));
     EXPECT_EQ(answer(request("GET", "/other.js")).status, 404);
 }
