@@ -22,6 +22,7 @@ SECTIONS = {
 }
 # On the first level of the navigation; the others are below a section.
 FIRST = [("Start here", "README.md"), ("Questions", "docs/questions.md"), ("Installation", "docs/how-to/install.md")]
+TEMPLATES = "src/cli/init/"  # of projects: pages for whoever makes one, with places to fill in
 LAST = [("Glossary", "docs/glossary.md"), ("Changes", "CHANGELOG.md"), ("List of all pages", "docs/README.md")]
 
 
@@ -120,7 +121,8 @@ def entry(name, title=None):
 
 def write(root, source):
     """`source` may hold pages of the API already (contracts.write)."""
-    texts = {page.relative_to(root).as_posix(): page.read_text(encoding="utf-8") for page in check_docs.pages(root)}
+    texts = {page.relative_to(root).as_posix(): page.read_text(encoding="utf-8") for page in check_docs.pages(root)
+             if not page.relative_to(root).as_posix().startswith(TEMPLATES)}
     told = descriptions(root)
     front = [name for _, name in FIRST + LAST]
     order = {name: number for number, name in enumerate(told)}
