@@ -127,8 +127,14 @@ bool isHash(const std::string& text) {
            text.find_first_not_of("0123456789abcdef") == std::string::npos;
 }
 
-/// What is wrong with a folder, in one line with the fix.
-std::string complaintOf(const std::string& folder, const std::error_code& failed) {
+/// What is wrong with a folder, in one line with the fix. `named`: on the command line.
+std::string complaintOf(const std::string& folder, bool named, const std::error_code& failed) {
+    if (failed == std::errc::no_such_file_or_directory && !named)
+        return "nothing is recorded in '" + folder +
+               "', where the Debian packages record: auditing is off unless Axon.Audit.Folder is set; fix: "
+               "set "
+               "Axon.Audit.Folder=DIR in the configuration of axon-server and start it again, or name the "
+               "folder with --folder DIR";
     if (failed == std::errc::no_such_file_or_directory)
         return "there is no folder '" + folder + "'; fix: name the folder of Axon.Audit.Folder";
     auto complaint = "'" + folder + "' cannot be read: " + failed.message();
@@ -216,6 +222,7 @@ int auditVerb(Session& session) {
     const auto operand = session.args.value("folder_name", std::string());
     const auto option = session.args.value("folder", std::string());
     if (!operand.empty() && !option.empty()) return misused(session, "the folder is named twice");
+    const bool named = !operand.empty() || !option.empty();
     const auto folder = !operand.empty() ? operand : !option.empty() ? option : std::string(kFolder);
     for (const auto* only : {"entity", "user", "kind", "since", "until", "last"})
         if (action == "verify" && session.args.contains(only))
@@ -225,7 +232,7 @@ int auditVerb(Session& session) {
     try {
         return action == "show" ? show(session, folder) : verify(session, folder);
     } catch (const std::filesystem::filesystem_error& failed) {
-        session.events.emit(usageEvent(complaintOf(folder, failed.code())));
+        session.events.emit(usageEvent(complaintOf(folder, named, failed.code())));
     } catch (const std::exception& error) {
         session.events.emit(usageEvent(error.what()));
     }

@@ -71,6 +71,14 @@ TEST_F(Audit, ShowsTheRecordsThatAreAskedFor) {
     EXPECT_FALSE(seen.last("audit_record")->contains("entity"));
 }
 
+TEST_F(Audit, WithoutAFolderItSaysThatAuditingIsOffAndWhatTurnsItOn) {
+    if (std::filesystem::exists("/var/lib/axon-server/audit")) GTEST_SKIP() << "this machine records";
+    EXPECT_EQ(axon({"show"}), kUsage);
+    const std::string said = seen.last("error")->at("message");
+    EXPECT_THAT(said, HasSubstr("auditing is off"));
+    EXPECT_THAT(said, HasSubstr("fix: set Axon.Audit.Folder=DIR"));
+}
+
 TEST_F(Audit, AUserIsFoundByWhatTheClientDidUnderAnotherName) {
     EXPECT_THAT(shown({"--user", "ann"}), ElementsAre(2, 3));
 }
