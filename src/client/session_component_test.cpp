@@ -395,6 +395,11 @@ TEST_F(ClientTest, NobodyThereIsAnAnswerWithTheMend) {
     EXPECT_THAT(refused.refusal().message, HasSubstr("axon-server"));
     nowhere.server = "not an address";
     EXPECT_EQ(Client::connect(nowhere).refusal().code, RefusalCode::Malformed);
+    nowhere.server = "http://127.0.0.1:10417/";
+    const auto page = Client::connect(nowhere);
+    ASSERT_FALSE(page.ok());
+    EXPECT_EQ(page.refusal().code, RefusalCode::Malformed);
+    EXPECT_THAT(page.refusal().message, AllOf(HasSubstr("web console"), HasSubstr("10410")));
 }
 
 TEST_F(ClientTest, KnowsWhoIsThereAsSoonAsItIsConnected) {
