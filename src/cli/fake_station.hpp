@@ -123,6 +123,8 @@ class FakeStation : public Station {
         return reports;
     }
     Result<void> rearm(const std::string& id) override {
+        const std::lock_guard lock(mutex_);
+        if (rearm_refusal && std::find(held_.begin(), held_.end(), id) == held_.end()) return *rearm_refusal;
         rearmed.push_back(id);
         return {};
     }
@@ -461,6 +463,7 @@ class FakeStation : public Station {
     std::string run_master;
     mutable int proposed = 0;
     mutable int histories_asked = 0;
+    std::optional<Refusal> rearm_refusal;  // of who does not hold it
     std::vector<std::string> stopped, rearmed, watched, journal;
     std::map<std::string, Refusal> given_back;
     std::vector<Argument> run_arguments, set_arguments;

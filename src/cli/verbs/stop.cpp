@@ -68,19 +68,26 @@ int stop(Session& session) {
     return stopAndShow(session, names, stopTimes(session.args), errors);
 }
 
+int rearmOne(Session& session, const std::string& name) {
+    const auto found = session.station->find(name);
+    if (!found) return refuse(session, found.refusal(), name);
+    auto done = session.station->rearm(found->id);
+    if (!done && done.refusal().code == RefusalCode::NotHolder && found->holder.id.empty()) {
+        // An operator has to hold it: for this moment, so that nobody else decides about it meanwhile.
+        int exit = kDone;
+        const auto holding = Holding::of(session, name, "rearm", exit);
+        if (!holding) return exit;
+        done = session.station->rearm(found->id);
+    }
+    if (!done) return refuse(session, done.refusal(), name);
+    session.events.emit({{"event", "done"}, {"verb", "rearm"}, {"entity", callOf(session, found.value())}});
+    return kDone;
+}
+
 int rearm(Session& session) {
     int exit = kDone;
-    for (const auto& name : session.args.at("entity").get<std::vector<std::string>>()) {
-        const auto found = session.station->find(name);
-        if (!found) {
-            exit = refuse(session, found.refusal(), name);
-        } else if (const auto done = session.station->rearm(found->id); !done) {
-            exit = refuse(session, done.refusal(), name);
-        } else {
-            session.events.emit(
-                {{"event", "done"}, {"verb", "rearm"}, {"entity", callOf(session, found.value())}});
-        }
-    }
+    for (const auto& name : session.args.at("entity").get<std::vector<std::string>>())
+        if (const int its = rearmOne(session, name); its != kDone) exit = its;
     return exit;
 }
 
@@ -129,7 +136,9 @@ extern const Verb kStop{
 
 extern const Verb kRearm{"rearm",
                          "Let a stopped entity take tasks again; nothing starts by itself",
-                         "  axon rearm PeopleBot\n",
+                         "  axon rearm PeopleBot\n"
+                         "Its holder and administrators may do that. An entity that nobody holds is checked\n"
+                         "out for this moment, if you do not hold it.\n",
                          Runs::Anywhere,
                          {{"entity", Takes::Entity, true, true, "Entities to rearm"}},
                          {},

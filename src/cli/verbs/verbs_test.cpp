@@ -552,6 +552,29 @@ TEST_F(Verbs, StopWaitsForStandstillUnlessItIsToldNotTo) {
     EXPECT_EQ(station->waited_for_standstill, Seconds(0));
 }
 
+TEST_F(Verbs, AnOperatorRearmsAFreeEntityByHoldingItForThatMoment) {
+    station->rearm_refusal = Refusal{RefusalCode::NotHolder, "You do not hold this entity.", {}};
+    EXPECT_EQ(perform("rearm", {{"entity", {"Cyton"}}}), kDone);
+    EXPECT_THAT(station->rearmed, ElementsAre(cyton()));
+    EXPECT_THAT(station->journal, ElementsAre("checkOut", "release"));
+    EXPECT_EQ(seen.last("checked_out")->at("for"), "rearm");
+    EXPECT_EQ(seen.last("done")->at("entity"), "Cyton");
+}
+
+TEST_F(Verbs, WhatSomebodyElseHoldsIsNotCheckedOutForARearm) {
+    station->rearm_refusal = Refusal{RefusalCode::NotHolder, "You do not hold this entity.", {}};
+    station->entities_[2].holder = {"other", "bob@lab", Role::Operator};
+    EXPECT_EQ(perform("rearm", {{"entity", {"Cyton"}}}), kRefused);
+    EXPECT_THAT(station->rearmed, IsEmpty());
+    EXPECT_THAT(station->journal, IsEmpty());
+}
+
+TEST_F(Verbs, ARearmThatIsRefusedForAnotherReasonChecksNothingOut) {
+    station->rearm_refusal = Refusal{RefusalCode::PermissionDenied, "Observers may watch and stop.", {}};
+    EXPECT_EQ(perform("rearm", {{"entity", {"Cyton"}}}), kRefused);
+    EXPECT_THAT(station->journal, IsEmpty());
+}
+
 TEST_F(Verbs, ResetAndClearSayWhatWasDoneAndPassOnARefusal) {
     kept = true;
     ASSERT_TRUE(station->checkOut({cyton()}));
@@ -665,10 +688,10 @@ TEST_F(Verbs, WatchShowsSamplesAndTextsUntilItsTimeIsUp) {
 
 TEST_F(Verbs, WatchOfAStreamThatIsNotSentNamesThoseThatAre) {
     station->samples = {{1, R"({"stream":"pose","sequence":"1","pose":{"x":1.5}})"}};
-    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pos"}}, {"for", 0.01}}), kDone);
+    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pos"}}, {"for", 0.01}}), kNotConfirmed);
     EXPECT_EQ(seen.last("notice")->at("message"), "Cyton sends no stream \"pos\" now; it sends pose");
     station->samples.clear();
-    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pos"}}, {"for", 0.01}}), kDone);
+    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pos"}}, {"for", 0.01}}), kNotConfirmed);
     EXPECT_EQ(seen.last("notice")->at("message"), "Cyton sends no stream \"pos\" now; it sends none at all");
     EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"for", 0.01}}), kDone);
     EXPECT_EQ(seen.last("notice")->at("message"), "nothing was received from Cyton");

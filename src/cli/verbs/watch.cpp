@@ -175,6 +175,9 @@ int watch(Session& session) {
         if (end && Clock::now() >= *end) break;
     }
     if (session.mailbox->takeInterrupt()) return kInterrupted;
+    // Of the streams that were named, not one sample.
+    if (!streams.empty() && silent.size() == std::set<std::string>(streams.begin(), streams.end()).size())
+        return kNotConfirmed;
     if (!any && streams.empty())
         session.events.emit({{"event", "notice"}, {"message", "nothing was received from " + call}});
     return kDone;
@@ -190,6 +193,7 @@ extern const Verb kWatch{
     "  axon watch PeopleBot pose --json | jq -c .sample\n"
     "  axon watch PeopleBot camera --save now.jpg   keeps the newest picture in now.jpg\n"
     "  axon watch PeopleBot camera --view           shows the pictures in a browser\n"
+    "With --for, the exit status is 4 if none of the streams that are named has sent anything.\n"
     "Texts and raw data go to the holder only: they are shown if axon checkout holds the entity.\n",
     Runs::Anywhere,
     {{"entity", Takes::Entity, true, false, "The entity"},
