@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 #pragma once
 #include <axon/client.hpp>
+#include <csignal>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -8,6 +9,14 @@
 // What @NAME@ does with the robots of a laboratory. Each function returns an exit status.
 
 constexpr axon::client::Seconds kPatience{60};
+constexpr axon::client::Seconds kLook{0.1};  // how often it looks whether somebody has pressed Ctrl-C
+
+/// Ctrl-C: the task is cancelled. A program that simply ended would leave a robot that has to be rearmed.
+inline volatile std::sig_atomic_t interrupted = 0;
+inline void onInterrupt(int) {
+    interrupted = 1;
+    std::signal(SIGINT, SIG_DFL);  // a second one ends the program at once
+}
 
 inline int refused(const axon::Refusal& refusal) {
     std::cerr << refusal.message << '\n';
@@ -34,13 +43,17 @@ inline int runService(axon::client::Client& client, const std::string& robot, co
     using axon::client::TaskState;
     const auto held = client.checkOut(robot);
     if (!held) return refused(held.refusal());
+    std::signal(SIGINT, onInterrupt);
     const auto task = held->run(service, arguments);
-    task.onUpdate([](const TaskReport& report) {
-        if (report.progress >= 0) std::cout << static_cast<int>(report.progress * 100) << " %" << std::endl;
+    task.onUpdate([shown = -1](const TaskReport& report) mutable {
+        const int percent = static_cast<int>(report.progress * 100);
+        if (report.progress >= 0 && percent != shown) std::cout << (shown = percent) << " %" << std::endl;
     });
-    auto report = task.wait(kPatience);
+    auto report = task.wait(kLook);
+    for (auto waited = kLook; !isFinal(report.state) && !interrupted && waited < kPatience; waited += kLook)
+        report = task.wait(kLook);
     if (!isFinal(report.state)) {
-        std::cerr << "not finished after " << kPatience.count() << " s, so it is cancelled\n";
+        std::cerr << (interrupted ? "interrupted" : "not finished in time") << ", so it is cancelled\n";
         static_cast<void>(task.cancel());
         report = task.wait(kPatience);
     }
