@@ -268,8 +268,9 @@ void Task::Running::end(RefusalCode code, std::string_view reason) {
 void Task::Running::handlerReturned() {
     if (!stopRequested()) return conclude({RefusalCode::Ok, {}});
     const auto cause = stopCause();
-    conclude({cause == StopSignal::Cause::Cancel ? RefusalCode::Cancelled : RefusalCode::Stopped,
-              std::string("the handler ended after a stop: ") + toString(cause)});
+    if (cause == StopSignal::Cause::Cancel)
+        return conclude({RefusalCode::Cancelled, "the handler ended because the task was cancelled"});
+    conclude({RefusalCode::Stopped, std::string("the handler ended after a stop: ") + toString(cause)});
 }
 
 void Task::Running::handlerThrew(std::string_view what) {
