@@ -197,6 +197,15 @@ class Story:
         at = self.lab.at.get("console")
         return f"The web console: {at}\n" if at else ""
 
+    def say_if_too_slow(self):
+        """A machine without time for the laboratory looks like lost robots; the laboratory itself knows better."""
+        world = self.lab.world
+        slow = next((line for line in world.text().splitlines() if "too slow" in line), None) if world else None
+        if slow:
+            speed = (self.options.speed or 1) / 2
+            self.say(f"\n{slow}\nRobots that are called lost, or that time out, may follow from that alone.\n"
+                     f"fix: close other programs and try again, or play the story more slowly: ./demo --speed={speed:g}")
+
     def leave_running(self):
         self.say(f"""
 The laboratory is running. In another terminal:
@@ -239,6 +248,8 @@ def main():
         if ok:
             shutil.rmtree(story.lab.folder, ignore_errors=True)
     failed = [s["name"] for s in story.steps if not s["ok"]]
+    if failed:
+        story.say_if_too_slow()
     story.say(f"\nAll {len(story.steps)} steps did what they should." if ok else
               f"\nFailed: {', '.join(failed) or 'interrupted'}. Logs: {story.lab.folder}")
     if story.options.json:
