@@ -339,9 +339,10 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
     ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
     const auto straight = [](auto type, const Ice::CommunicatorHolder& its, const std::string& to) {
         using Prx = typename decltype(type)::element_type;
-        return Ice::uncheckedCast<Prx>(its->stringToProxy(to));
+        // Another connection where the one before was closed.
+        return Ice::uncheckedCast<Prx>(its->stringToProxy(to)->ice_connectionCached(false));
     };
-    Axon::CommUtil::ServerAnnouncement announced;
+    Axon::CommUtil::ServerAnnouncement announced{};
     announced.instance = "one";
     // Whoever is refused is disconnected, so the next call may find its connection closed.
     const auto refusedCall = [](const std::function<void()>& call, const std::string& why) {
@@ -365,7 +366,7 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
                             "the front-end 'fe9' announced itself as 'fe1'; expected its own name"))
         << kLog->all();
 
-    Axon::CommUtil::Header head;
+    Axon::CommUtil::Header head{};
     head.sender.id = client->facts.me.id;
     head.entity = kFirst;
     head.msgType = kMsgText;
@@ -386,7 +387,7 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
     const auto entity_server = communicator(issued(Kind::EntityServer, "es9"));
     const auto at_front_end = straight(std::shared_ptr<FrontEndPrx>(), entity_server,
                                        "FrontEndServerStraight/fe1:" + ssl(kFrontEnd));
-    Axon::CommUtil::EntityStatus status;
+    Axon::CommUtil::EntityStatus status{};
     status.entity = kFirst;
     status.server = "es1";
     EXPECT_TRUE(refusedCall([&] { at_front_end->entityUpdate(status, 1e6); },
@@ -409,7 +410,7 @@ TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
     ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
     // es9 says that it is where es1 is.
     const auto entity_server = communicator(issued(Kind::EntityServer, "es9"));
-    Axon::CommUtil::ServerAnnouncement announced;
+    Axon::CommUtil::ServerAnnouncement announced{};
     announced.name = "es9";
     announced.instance = "one";
     announced.signals = "EntityServerStraight/es1:" + ssl(kEntityServerSignal);
