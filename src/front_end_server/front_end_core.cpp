@@ -28,6 +28,11 @@ void refuseUnknown(ClientOutbox& to, const Header& head) {
     to.newRefusalMsg(head, unknownEntity(head.entity));
 }
 
+std::string sessionsOf(const std::string& user, const FrontEndCoreSettings& settings) {
+    return "the user '" + user + "' has " + std::to_string(settings.user_sessions) +
+           " sessions, which is the most";
+}
+
 }  // namespace
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -98,11 +103,15 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
                                                        " clients; raise FrontEndServer.ClientsMax");
         }
         auto share = shareOf(user);
-        if (share && share->sessions >= settings_.user_sessions)
-            return refuse(RefusalCode::Overloaded, "the user '" + user + "' has " +
-                                                       std::to_string(settings_.user_sessions) +
-                                                       " sessions, which is the most; fix: end some, or have "
-                                                       "FrontEndServer.UserSessions raised");
+        // Whoever needs one more may need it to stop a robot. A quarter is kept free for the other users, so
+        // that one program that opens sessions without end does not keep them from stopping.
+        const bool surplus = share && share->sessions - share->surplus >= settings_.user_sessions;
+        if (surplus && clients_.size() + settings_.clients_max / 4 >= settings_.clients_max)
+            return refuse(
+                RefusalCode::Overloaded,
+                sessionsOf(user, settings_) +
+                    ", and the server keeps its last places for other users; fix: end some, or have "
+                    "FrontEndServer.UserSessions raised");
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
         const auto origin = alone() ? std::string() : settings_.name + ":" + others_.self().instance + ":";
@@ -110,11 +119,12 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         auto id = Id128::uuid(random_).toString();
         id[kUserDigits] = '8';
         if (!user.empty()) id.replace(0, kUserDigits, userPart(user));
-        Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), role};
+        Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), surplus ? Role::Observer : role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
-                                          settings_, clock_.now(), user, share);
+                                          settings_, clock_.now(), user, share, surplus);
         if (share) {
             ++share->sessions;
+            if (surplus) ++share->surplus;
             shares_.emplace(user, std::move(share));
         }
         clients_.add(client);
@@ -122,6 +132,11 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
     wake_();
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
     log_.joined(client->me, user);
+    if (client->surplus && role != Role::Observer)
+        client->data->newUpdateMsg(RefusalCode::Overloaded,
+                                   sessionsOf(user, settings_) +
+                                       ", so this one may only watch and stop; fix: end some and open this "
+                                       "one again, or have FrontEndServer.UserSessions raised");
     client->told = pushAll(*client);
     return client;
 }
@@ -292,7 +307,8 @@ std::size_t FrontEndCore::drillAll(const Client& client, const Header& head) {
 Result<void> FrontEndCore::mayGoOn(Client& client, Header& head, std::size_t bytes, bool droppable) {
     if (auto may = admitToShare(client, bytes, droppable, settings_, clock_); !may.ok()) return may;
     if (auto may = mayByLists(client, head, Lane::Data); !may.ok()) return may;
-    if (auto may = admitCheckOut(client, head, settings_); !may.ok()) return may;
+    if (auto may = admitCheckOut(client, head, settings_); !may.ok() && !heldByUser(client, head.entity))
+        return may;
     const auto first_check_out = admit(client, head, bytes, entities_, clock_);
     if (!first_check_out.ok()) return first_check_out.refusal();
     if (!first_check_out.value()) return {};
@@ -307,6 +323,16 @@ Result<void> FrontEndCore::mayGoOn(Client& client, Header& head, std::size_t byt
     }
     wake_();
     return {};
+}
+
+/// By another session of the client's user, or by one that was lost and may be resumed: who takes that over
+/// holds no more than before.
+bool FrontEndCore::heldByUser(const Client& client, const std::string& entity) const {
+    if (client.user.empty()) return false;
+    const std::lock_guard lock(mutex_);
+    const auto record = entities_.find(entity);
+    // All sessions of a user have the same key.
+    return record && senderKey(record->status.holder.id) == senderKey(client.me.id);
 }
 
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
@@ -438,6 +464,7 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
         if (!clients_.remove(client)) return;
         held = holdings_.of(client->me.id);
         client->share->held -= client->entities.held();
+        if (client->surplus) --client->share->surplus;
         if (!client->user.empty() && --client->share->sessions == 0) shares_.erase(client->user);
         gone_.remember(client->me, ending);
     }

@@ -78,7 +78,8 @@ class FrontEndCore {
     // From a client.
     /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
     /// login; `user` is empty where the login names none, and each session then counts for itself. Refused
-    /// where the users have changed since, and the user has no longer this role.
+    /// where the users have changed since, and the user has no longer this role. Beyond the sessions that a
+    /// user may have it is an observer's: it can still stop.
     Result<ClientRef> setCallback(const std::string& display_name, Role role,
                                   std::shared_ptr<ClientOutbox> data, const std::string& user = {});
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
@@ -145,6 +146,7 @@ class FrontEndCore {
     }
     static bool sees(const Client& client, const users::Access& access, const Registration& registration);
     bool sees(const Client& client, const std::string& entity, Lane lane) const;
+    bool heldByUser(const Client& client, const std::string& entity) const;
     Result<void> mayByLists(const Client& client, Header& head, Lane lane) const;
     bool refuseUnseen(const ClientRef& client, const Header& head);
     std::size_t drillAll(const Client& client, const Header& head);

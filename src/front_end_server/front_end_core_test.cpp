@@ -639,7 +639,7 @@ TEST_F(FrontEndTest, AnEntityIsOnTheListOfItsPresentName) {
 class LimitedUsers : public FrontEndTest {
   protected:
     LimitedUsers() {
-        FrontEndCoreSettings few;
+        few.clients_max = 40;
         few.user_sessions = 2;
         few.user_check_outs = 2;
         few.user_messages_per_second = 10;
@@ -665,21 +665,81 @@ class LimitedUsers : public FrontEndTest {
         now.holder = {holder, holder, Role::Operator};
         limited->entityUpdate(now);
     }
+    FrontEndCoreSettings few;
     std::optional<FrontEndCore> limited;
 };
 
-TEST_F(LimitedUsers, AUserHasSoManySessions) {
+TEST_F(LimitedUsers, AUserHasSoManySessionsAndOneMoreCanStillStop) {
     const auto first = enter("ann");
-    enter("ann");
+    const auto role = [](const Peer& peer) { return FrontEndCore::me(*peer.client).role; };
+    EXPECT_EQ(role(enter("ann")), Role::Operator);
+    const auto third = enter("ann");
+    EXPECT_EQ(role(third), Role::Observer);
+    EXPECT_THAT(third.data->take(),
+                ElementsAre(AllOf(HasSubstr("update the user 'ann' has 2 sessions"), HasSubstr("and stop"))));
+    limited->sendStopSignal(third.client, to("e1"), StopCause::Requested);
+    limited->sendStopSignal(third.client, to(""), StopCause::Requested);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by c to e1", "stop (requested) by c to "));
+    send(third, "e1", kMsgCheckOut);
+    EXPECT_EQ(topic.role, Role::Observer);
+    EXPECT_EQ(role(enter("bob")), Role::Operator);
+    for (int i = 0; i < 5; ++i) EXPECT_EQ(role(enter("")), Role::Operator);
+    limited->leave(first.client, Ending::Ended, "");
+    limited->leave(first.client, Ending::Lost, "");
+    EXPECT_EQ(role(third), Role::Observer) << "until it is opened again";
+    EXPECT_EQ(role(enter("ann")), Role::Operator);
+    limited->leave(third.client, Ending::Ended, "");
+    EXPECT_EQ(role(enter("ann")), Role::Observer);
+}
+
+TEST_F(LimitedUsers, SessionsWithoutEndKeepNobodyElseFromStopping) {
+    for (std::size_t i = 0; i < few.clients_max - few.clients_max / 4; ++i) enter("ann");
     const auto refused = limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "ann");
     EXPECT_EQ(refused.refusal().code, RefusalCode::Overloaded);
     EXPECT_THAT(refused.refusal().message, HasSubstr("the user 'ann' has 2 sessions"));
-    enter("bob");
-    for (int i = 0; i < 5; ++i) enter("");
-    limited->leave(first.client, Ending::Ended, "");
-    limited->leave(first.client, Ending::Lost, "");
-    enter("ann");
-    EXPECT_FALSE(limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "ann").ok());
+    for (std::size_t i = 0; i < few.clients_max / 4; ++i) enter("user" + std::to_string(i));
+    EXPECT_FALSE(limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "bob").ok());
+}
+
+TEST_F(LimitedUsers, WhatBelongsToACheckOutThatWasPassedOnIsNotRefused) {
+    for (const auto* id : {"e1", "e2", "e3", "e4"}) {
+        Registration registration;
+        registration.entity = registration.name = id;
+        limited->entityBasicPrflUpdate(Presence::Joined, registration, "profile");
+    }
+    const auto first = enter("ann"), second = enter("ann");
+    // All or none: three are prepared, and two of them say so before the third is committed or given up.
+    for (const auto* id : {"e1", "e2", "e3"}) send(first, id, kMsgCheckOut, "prepare");
+    hold("e1", first.id());
+    hold("e2", first.id());
+    topic.take();
+    send(first, "e3", kMsgCheckOut, "commit");
+    send(first, "e3", kMsgCheckOut, "abort");
+    EXPECT_THAT(topic.take(), ElementsAre("c to e3 commit", "c to e3 abort"));
+    // A session of the same user resumes what another one held, also after that one was lost.
+    send(second, "e1", kMsgCheckOut, "resume");
+    const auto lost = [&](const std::string& holder) {
+        EntityStatus now;
+        now.entity = "e4";
+        now.holder = {holder, holder, Role::Operator};
+        now.orphaned = true;
+        limited->entityUpdate(now);
+    };
+    lost("0b1c2d3e" + first.id().substr(8));
+    send(second, "e4", kMsgCheckOut, "resume");
+    EXPECT_THAT(topic.take(), ElementsAre("c to e1 resume"));
+    EXPECT_THAT(second.data->take(), Contains("refused OVERLOADED")) << "of another user";
+    auto anns = first.id();
+    anns.back() = anns.back() == '0' ? '1' : '0';
+    lost(anns);
+    send(second, "e4", kMsgCheckOut, "resume");
+    EXPECT_THAT(topic.take(), ElementsAre("c to e4 resume"));
+    // Once it has been given back it is a check-out like any other.
+    hold("e4", "");
+    hold("e3", first.id());
+    hold("e3", "");
+    send(first, "e3", kMsgCheckOut, "again");
+    EXPECT_THAT(topic.take(), IsEmpty());
 }
 
 TEST_F(LimitedUsers, AUserHoldsSoManyEntitiesInAllSessions) {
