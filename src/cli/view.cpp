@@ -518,6 +518,7 @@ void PersonView::showUserChanged(const Json& event) {
 
 void PersonView::showAuditRecord(const Json& record) {
     auto who = textOf(record, "user");
+    if (who.empty()) who = textOf(record, "session_user");
     for (const auto* other : {"name", "client", "peer"})
         if (const auto text = textOf(record, other); !text.empty() && text != who)
             who += (who.empty() ? "" : ", ") + text;
@@ -538,6 +539,9 @@ void PersonView::showAuditTrail(const Json& trail) {
                     trail.value("first", 0ULL), trail.value("last", 0ULL), textOf(trail, "last_at")));
     for (const auto& place : trail.at("unfinished"))
         say("  unfinished, by a kill or a loss of power: " + valueText(place));
+    const auto named = trail.at("unfinished").size();
+    if (const auto all = trail.value("unfinished_lines", std::uint64_t{0}); all > named)
+        say(fmt::format("  and {} further unfinished lines", all - named));
     if (!hash.empty()) say(paint("  hash of the last line, to keep elsewhere: " + hash, Tint::Dim));
 }
 

@@ -4,6 +4,7 @@
 
 #include <asio/post.hpp>
 #include <asio/thread_pool.hpp>
+#include <csignal>
 #include <future>
 #include <iostream>
 
@@ -30,6 +31,8 @@ int main(int argc, char** argv) {
 
     std::promise<void> ended;  // before the handler, which calls upon them until it is gone
     std::atomic_flag once;
+    std::signal(SIGXFSZ,
+                SIG_IGN);  // a file that may not grow is a write that fails, not the end of the program
     Ice::CtrlCHandler interrupts;  // before all else: it blocks the signals before any thread exists
     try {
         const auto options = readDaemonOptions(argc, argv);

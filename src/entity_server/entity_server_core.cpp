@@ -380,13 +380,15 @@ void EntityServerCore::clientMsg(const Header& head, std::string_view message, V
     if (!entity) return undelivered_.unknown(Lane::Data, head, via);
     // Its holder's orders are never refused for what others send: it has the whole queue.
     const auto share = head.sender.id == *entity->holder.load() ? QueueShare::Whole : QueueShare::OfSender;
-    if (!entity->data->newClientMsg(head, message, share)) undelivered_.slow(Lane::Data, head);
+    if (!entity->data->newClientMsg(head, message, share)) return undelivered_.slow(Lane::Data, head);
+    if (!alone()) audit_.command(head);  // as for stops
 }
 
 void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data, Via via) {
     const auto entity = table_.find(head.entity, kData);
     if (!entity) return undelivered_.unknownData(head, via);
     entity->data->newClientMsgDataSeq(head, data);
+    if (!alone()) audit_.command(head);
 }
 
 void EntityServerCore::clientRequest(const Header& head) {

@@ -964,6 +964,22 @@ TEST_F(OneOfSeveral, AFrontEndServerThatStartedAnewHasLostItsClientsOfBefore) {
     EXPECT_THAT(since.signal->lines, IsEmpty());
 }
 
+TEST_F(OneOfSeveral, RecordsCommandsThatPassItAsItDoesStops) {
+    join(kFirst);
+    const auto before = trail.notes().size();
+    auto its = head(kFirst, "c1");
+    its.msg_type = kMsgTask;
+    core.clientMsg(its, "task", Via::Topic);
+    ASSERT_EQ(trail.notes().size(), before + 1);
+    EXPECT_EQ(trail.last(), "command|c1|c1|" + std::string(kFirst) + "|TASK|OK");
+    its.msg_type = kMsgText;
+    core.clientMsg(its, "hello", Via::Topic);
+    its.msg_type = kMsgTask;
+    its.entity = kSecond;  // is not there: the front-end server records its refusal
+    core.clientMsg(its, "task", Via::Topic);
+    EXPECT_EQ(trail.notes().size(), before + 1);
+}
+
 TEST_F(OneOfSeveral, AGrantToAClientOfAServerThatIsGoneIsTakenBackAtOnce) {
     const auto peer = join(kFirst);
     announce(Lane::Signal, "fe1");

@@ -22,6 +22,10 @@ using transport::Traffic;
 using Prx = Axon::EntityComm::EntityCallbackPrx;
 using IceHeader = Axon::CommUtil::Header;
 
+namespace {
+constexpr const char* kRegistration = "the registration of an entity";
+}  // namespace
+
 bool IceEntityOutbox::newClientMsg(const Header& head, std::string_view message, QueueShare share) {
     return sender_.send(Traffic::Control, head, message, forward<Prx>(&Prx::newClientMsgAsync),
                         senderKey(head.sender.id, share));
@@ -207,9 +211,10 @@ Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr
 void EntitySessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
                                             const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Signal, current);
-    session_.adopt(transport::valueOrThrow(lane_.core.attach(
-        EntityLane::fromPeer(token),
-        std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
+    session_.adopt(lane_.orTurnAway(
+        lane_.core.attach(EntityLane::fromPeer(token),
+                          std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer())),
+        *session_.peer(), "the signal lane of an Entity Manager"));
 }
 
 void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registration, ByteRange profile,
@@ -223,12 +228,14 @@ void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registrati
     if (!transport::mayRegister(its.entity, toView(secret))) {
         spdlog::warn("audit: registration of {} refused, from {}: without its secret",
                      its.entity.substr(0, 64), session_.peer()->peer());
-        throw toIce(Refusal{RefusalCode::PermissionDenied,
-                            "the UUID " + its.entity.substr(0, 64) +
-                                " is bound to a secret, which was not shown: it is in the state folder of "
-                                "the robot that has this UUID "
-                                "(docs/reference/sessions.md)",
-                            {}});
+        const Refusal refusal{RefusalCode::PermissionDenied,
+                              "the UUID " + its.entity.substr(0, 64) +
+                                  " is bound to a secret, which was not shown: it is in the state folder of "
+                                  "the robot that has this UUID "
+                                  "(docs/reference/sessions.md)",
+                              {}};
+        lane_.turnedAway(session_.peer()->peer(), kRegistration, refusal);
+        throw toIce(refusal);
     }
     // An entity that is not ready is called by the name of its application, which need not be its own.
     if (!certified_.empty() && toView(profile).empty()) its.name = certified_;
@@ -237,9 +244,12 @@ void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registrati
                              "'s; expected its name in the basic profile, not '" + its.name +
                              "': axon certs issue --entity NAME makes one for another name";
         spdlog::warn("audit: registration refused, from {}: {}", session_.peer()->peer(), refusal);
+        lane_.turnedAway(session_.peer()->peer(), kRegistration,
+                         {RefusalCode::PermissionDenied, refusal, {}});
         throw toIce(Refusal{RefusalCode::PermissionDenied, refusal, {}});
     }
-    transport::valueOrThrow(lane_.core.sendBasicPrfl(its_session, std::move(its), toView(profile)));
+    lane_.orTurnAway(lane_.core.sendBasicPrfl(its_session, std::move(its), toView(profile)), *session_.peer(),
+                     kRegistration);
 }
 void EntitySessionServant::sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) {
     const auto& its_session = session_.of(current);

@@ -154,9 +154,11 @@ void IceEntityTopic::reach(const std::vector<ServerAnnouncement>& entity_servers
 Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_ptr<Prx> callback,
                                                                    const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Data, current);
-    auto client = transport::valueOrThrow(lane_.core.setCallback(
-        name_, who_.role, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()),
-        who_.user));
+    auto client = lane_.orTurnAway(
+        lane_.core.setCallback(
+            name_, who_.role,
+            std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()), who_.user),
+        *session_.peer(), "a session of a client");
     Axon::FrontEndComm::SessionFacts facts;
     facts.me = toIce(FrontEndCore::me(*client));
     facts.token = lane_.toPeer(FrontEndCore::token(*client));
@@ -174,9 +176,10 @@ Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_p
 void ClientSessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
                                             const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Signal, current);
-    session_.adopt(transport::valueOrThrow(lane_.core.attach(
-        ClientLane::fromPeer(token),
-        std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
+    session_.adopt(lane_.orTurnAway(
+        lane_.core.attach(ClientLane::fromPeer(token),
+                          std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer())),
+        *session_.peer(), "the signal lane of a client"));
 }
 
 void ClientSessionServant::sendRequest(IceHeader head, ByteRange message, const Ice::Current& current) {

@@ -12,6 +12,8 @@ using transport::LoginRequest;
 
 namespace {
 
+constexpr const char* kSession = "a session of the web console";
+
 std::string addressOf(const std::string& end) {
     return end.substr(0, end.rfind(':'));
 }
@@ -45,10 +47,12 @@ std::optional<Refusal> ConsoleDesk::foreign(const LoginRequest& request) const {
     if (!request.origin || (sites_ && sites_->isOurs(*request.origin, addressOf(request.local))))
         return std::nullopt;
     note_("audit: console: a session that a foreign page opens from " + request.peer + " was refused");
-    return refuse(RefusalCode::PermissionDenied,
-                  "this session is opened by a page that is not this server's console; fix: open "
-                  "the console at the address in the server's ready line, or add the address of "
-                  "its proxy to Console.Proxies");
+    auto refusal = refuse(RefusalCode::PermissionDenied,
+                          "this session is opened by a page that is not this server's console; fix: open "
+                          "the console at the address in the server's ready line, or add the address of "
+                          "its proxy to Console.Proxies");
+    desk_.turnedAway(request.peer, kSession, refusal);
+    return refusal;
 }
 
 void ConsoleDesk::client(LoginRequest request, Answer answer) {
@@ -58,8 +62,10 @@ void ConsoleDesk::client(LoginRequest request, Answer answer) {
         request.password.clear();
         if (++waiting_ > kWaitingMax) {
             --waiting_;
-            return answer(refuse(RefusalCode::Overloaded,
-                                 "too many browsers are logging in; fix: try again in a few seconds"));
+            auto refusal = refuse(RefusalCode::Overloaded,
+                                  "too many browsers are logging in; fix: try again in a few seconds");
+            desk_.turnedAway(request.peer, kSession, refusal);
+            return answer(std::move(refusal));
         }
         return desk_.client(std::move(request), [this, answer = std::move(answer)](Result<LoggedIn> who) {
             --waiting_;
@@ -68,9 +74,12 @@ void ConsoleDesk::client(LoginRequest request, Answer answer) {
     }
     if (const auto user = visitors_.redeem(request.password)) return answer(desk_.vouchedClient(*user));
     note_("audit: console: failed log-in from " + request.peer + " (no ticket, or an old one)");
-    answer(refuse(RefusalCode::PermissionDenied,
-                  "a session of the web console is opened with a ticket as its password, which is good once "
-                  "and for 30 s; fix: ask for a new one (POST /ticket)"));
+    auto refusal =
+        refuse(RefusalCode::PermissionDenied,
+               "a session of the web console is opened with a ticket as its password, which is good once "
+               "and for 30 s; fix: ask for a new one (POST /ticket)");
+    desk_.turnedAway(request.peer, kSession, refusal);
+    answer(std::move(refusal));
 }
 
 void ConsoleDesk::entity(LoginRequest, Answer answer) {

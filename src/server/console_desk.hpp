@@ -48,6 +48,9 @@ class ConsoleDesk final : public transport::Logins, public console::LoginPort {
     Result<transport::LoggedIn> vouchedEntity(
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
     bool mayVouch(const std::string&, const std::string&) override { return false; }
+    void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) override {
+        desk_.turnedAway(peer, what, refusal);
+    }
 
     /// Of the signal lane of these sessions, where their token is the proof: foreign pages are refused, and
     /// nobody waits.
@@ -64,6 +67,9 @@ class ConsoleDesk final : public transport::Logins, public console::LoginPort {
         Result<transport::LoggedIn> vouchedEntity(
             const std::string& user, const std::optional<transport::PeerCertificate>& certificate) override;
         bool mayVouch(const std::string&, const std::string&) override { return false; }
+        void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) override {
+            desk_.desk_.turnedAway(peer, what, refusal);
+        }
 
       private:
         const ConsoleDesk& desk_;

@@ -9,6 +9,8 @@
 #include <future>
 #include <vector>
 
+#include "support/recorded_audit.hpp"
+
 namespace axon::server {
 namespace {
 
@@ -28,7 +30,7 @@ class ConsoleDeskTest : public testing::Test {
                         "watcher observer " + kHash + "\nboss admin " + kHash + "\nleft entity " + kHash,
                         "users.cfg"))
                   : nullptr,
-              clock, [](const auto&) {}, [](const auto&, const auto&) { return ::geteuid(); }),
+              clock, [](const auto&) {}, [](const auto&, const auto&) { return ::geteuid(); }, &trail),
           desk(logins, has_users, visitors, [this](const std::string& line) { notes.push_back(line); }) {
         desk.setSites(console::Sites({false, 10417, 10418, 10419, {}, {"https://lab.example"}}));
     }
@@ -55,6 +57,7 @@ class ConsoleDeskTest : public testing::Test {
     SeededRandom random{1};
     console::Visitors visitors{clock, random};
     std::vector<std::string> notes;
+    test::RecordedAudit trail;
     LoginDesk logins;
     ConsoleDesk desk;
 };
@@ -102,6 +105,8 @@ TEST_F(ConsoleDeskTest, APasswordIsNoTicket) {
     EXPECT_FALSE(open(visitors.enter("boss"))) << "nor is the cookie";
     ASSERT_EQ(notes.size(), 3U);
     EXPECT_THAT(notes[0], HasSubstr("audit: console: failed log-in from 127.0.0.1:50122"));
+    EXPECT_EQ(trail.notes().size(), 3U);
+    EXPECT_THAT(trail.last(), HasSubstr("@127.0.0.1:50122|refusal||||a session of the web console: "));
 }
 
 TEST_F(ConsoleDeskTest, AForeignPageOpensNoSessionWhateverItShows) {
@@ -110,6 +115,7 @@ TEST_F(ConsoleDeskTest, AForeignPageOpensNoSessionWhateverItShows) {
         const auto who = open(visitors.ticket("boss"), origin);
         ASSERT_FALSE(who) << origin;
         EXPECT_EQ(who.refusal().code, RefusalCode::PermissionDenied);
+        EXPECT_THAT(trail.last(), HasSubstr("is not this server's console"));
     }
     EXPECT_TRUE(open(visitors.ticket("boss"), "https://lab.example")) << "the proxy's page";
 }

@@ -298,6 +298,12 @@ bool LoginDesk::mayVouch(const std::string& peer, const std::string& local) {
     return uid && (*uid == 0 || *uid == ::geteuid());
 }
 
+void LoginDesk::turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) {
+    const auto text = what + ": " + refusal.message;
+    trail_.note(
+        {.kind = audit::Kind::Refusal, .peer = peer, .what = text, .outcome = refusalName(refusal.code)});
+}
+
 Result<LoggedIn> LoginDesk::admit(UserRole role, Door door, const std::string& user) {
     const bool is_entity = role == UserRole::Entity;
     if (is_entity != (door == Door::Entity)) {

@@ -64,6 +64,7 @@ class LoginDesk final : public transport::Logins, public users::PresentUsers {
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
     /// A process of the server's own uid, or root's. Asks the kernel.
     bool mayVouch(const std::string& peer, const std::string& local) override;
+    void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) override;
     /// From now on these may log in, with their passwords and roles; never null. Only where there are users.
     /// Whoever is here is not touched, but for what clientRole() and mayBeEntityManager() say from now on.
     void setUsers(std::shared_ptr<const users::Users> users);

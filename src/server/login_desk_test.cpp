@@ -92,6 +92,8 @@ TEST_F(LoginDeskTest, EachLogInAndEachRefusalIsRecordedAndNoPasswordIs) {
     EXPECT_EQ(trail.last(), "boss@a router or the web console|login||||log-in of a client as admin|OK");
     EXPECT_FALSE(desk->vouchedEntity("boss").ok());
     EXPECT_THAT(trail.last(), HasSubstr("|refusal|"));
+    desk->turnedAway("10.0.0.3:4", "a session of a client", {RefusalCode::Overloaded, "it is full", {}});
+    EXPECT_EQ(trail.last(), "@10.0.0.3:4|refusal||||a session of a client: it is full|OVERLOADED");
     EXPECT_FALSE(trail.has("secret"));
     EXPECT_FALSE(trail.has("sesame"));
 }

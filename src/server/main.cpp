@@ -24,6 +24,8 @@ int main(int argc, char** argv) {
         sigaddset(&awaited, SIGHUP);
     pthread_sigmask(SIG_BLOCK, &awaited, nullptr);
     std::signal(SIGPIPE, SIG_IGN);
+    std::signal(SIGXFSZ,
+                SIG_IGN);  // a file that may not grow is a write that fails, not the end of the program
 
     try {
         auto parsed = axon::server::parseOptions(argc, argv);

@@ -460,8 +460,7 @@ class Server::Parts {
           signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
           receipts(transport::makeCommunicator(receiptSettings(settings))) {
         const bool both = settings.role == ServerRole::Both;
-        if (links)
-            for (const auto* one : {&data, &signal, &receipts}) links->guard(one->communicator());
+        for (const auto* one : {&data, &signal, &receipts}) watchHandshakes(one->communicator(), links.get());
         if (settings.role != ServerRole::FrontEnd) {
             auto its = entitySettings(settings, links.get());
             its.logins = &logins;
@@ -542,9 +541,13 @@ class Server::Parts {
         try {
             console.emplace(settings.console, settings.ice_properties, logins, !settings.users_file.empty(),
                             steady, random, note);
-            browser_limits.emplace(steady, note, browserBounds(settings.console));
+            browser_limits.emplace(
+                steady, [this](const std::string& line) { noteClosed(line); },
+                browserBounds(settings.console));
             browsers.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Data)));
             browser_signals.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Signal)));
+            for (const auto* one : {&*browsers, &*browser_signals})
+                watchHandshakes(one->communicator(), nullptr);
             transport::DoorSettings door;
             door.data = {socketForm(settings.console.session_endpoint), browsers->communicator(),
                          &console->logins()};
@@ -608,11 +611,35 @@ class Server::Parts {
         if (front_end) front_end->publishTo(entity_servers);
     }
 
+    /// What the bounds of strangers' connections have closed: into the log, and into the trail.
+    void noteClosed(const std::string& line) const {
+        note(line);
+        audit::orNone(trail.get())
+            .note({.kind = audit::Kind::Refusal,
+                   .what = line,
+                   .outcome = refusalName(RefusalCode::Overloaded)});
+    }
+    /// Those that are refused, into the trail; the log has them.
+    void watchHandshakes(const std::shared_ptr<Ice::Communicator>& communicator,
+                         transport::LinkTrust* its_links) {
+        const auto refused = [this](const std::string& peer, const std::string& why) {
+            const auto what = "a TLS handshake: " + why;
+            audit::orNone(trail.get())
+                .note({.kind = audit::Kind::Refusal,
+                       .peer = peer,
+                       .what = what,
+                       .outcome = refusalName(RefusalCode::PermissionDenied)});
+        };
+        if (its_links != nullptr) return its_links->guard(communicator, refused);
+        transport::onRefused(communicator, [refused](const std::string& peer, const std::string&,
+                                                     const std::string& why) { refused(peer, why); });
+    }
+
     const std::unique_ptr<audit::Trail> trail;  // null: nothing is recorded. Outlives all that notes
     const std::shared_ptr<const Clock> time = clockFromEnvironment();
     const Clock& clock = *time;
     const SteadyClock steady{};  // of what peers cost, also where the laboratory's time stands
-    transport::ConnectionLimits limits{steady, note};
+    transport::ConnectionLimits limits{steady, [this](const std::string& line) { noteClosed(line); }};
     std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;
     const std::shared_ptr<const users::Users> first_users;        // null: there are none

@@ -15,6 +15,7 @@
 #include <filesystem>
 #include <fstream>
 
+#include "audit/testing.hpp"
 #include "common/release.hpp"
 #include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
@@ -651,6 +652,46 @@ TEST_F(Servers, RefuseWhoHasAnotherContract) {
                 << identity << ' ' << address << ' ' << number;
         EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(kOurs)}}), RefusalCode::Ok);
     }
+}
+
+TEST(ServerAudit, WhoIsTurnedAwayBeforeThereIsASessionIsRecordedWithTheAddress) {
+    const audit::TrailFolder folder;
+    auto settings = onLoopback();
+    settings.audit.folder = folder.path;
+    settings.front_end.clients_max = 1;
+    const server::Server server(settings);
+    const auto recorded = [&](const std::string& what, const std::string& code) {
+        return waitUntil([&] {
+            const auto all = folder.records();
+            return std::any_of(all.begin(), all.end(), [&](const auto& record) {
+                return record.kind == "refusal" && record.peer.starts_with("127.") &&
+                       record.what.find(what) != std::string::npos && record.outcome == code;
+            });
+        });
+    };
+    const auto communicator = transport::makeCommunicator({});
+    const auto proxyOf = [&](const std::string& identity, const std::string& address) {
+        return communicator.communicator()->stringToProxy(identity + ":" + transport::tcpEndpoint(address));
+    };
+    for (const auto lane : {Lane::Data, Lane::Signal}) {
+        const auto before = folder.records().size();
+        const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
+            proxyOf("ClientGate", server.clientAddress(lane)));
+        EXPECT_THROW(gate->open("", "", "one"), Axon::CommUtil::RequestRefused);
+        EXPECT_TRUE(waitUntil([&] { return folder.records().size() > before; }));
+        EXPECT_TRUE(recorded("a session of a client: ", "NOT_SUPPORTED"));
+    }
+    const auto gate = Ice::uncheckedCast<Axon::EntityComm::EntityGatePrx>(
+        proxyOf("EntityGate", server.entityAddress(Lane::Data)));
+    EXPECT_THROW(gate->open("", ""), Axon::CommUtil::RequestRefused);
+    EXPECT_TRUE(recorded("a session of an Entity Manager: ", "NOT_SUPPORTED"));
+    const RawClient first(server.clientAddress(Lane::Data));
+    EXPECT_THROW(RawClient(server.clientAddress(Lane::Data)), Axon::CommUtil::RequestRefused);
+    EXPECT_TRUE(recorded("raise FrontEndServer.ClientsMax", "OVERLOADED"));
+    // Of version 8: bound to a secret that this one does not show.
+    RawEntity thief(server.entityAddress(Lane::Data), "00000000-0000-8000-8000-000000000001");
+    EXPECT_THROW(thief.join(), Axon::CommUtil::RequestRefused);
+    EXPECT_TRUE(recorded("the registration of an entity: the UUID 0000", "PERMISSION_DENIED"));
 }
 
 /// How often the part is in the text.

@@ -13,6 +13,7 @@
 #include <fstream>
 #include <functional>
 
+#include "audit/reader.hpp"
 #include "certificates/folder.hpp"
 #include "component/raw_peers.hpp"
 #include "server/server.hpp"
@@ -153,7 +154,9 @@ TEST_F(Tls, EachPeerIsToldASignalLaneOfTheProtocolThatItCameBy) {
 }
 
 TEST_F(Tls, ACertificateOfAnotherCaIsRefusedAndBothSidesSayWhy) {
-    const server::Server server(settings());
+    auto audited = settings();
+    audited.audit.folder = folder / "audit";
+    const server::Server server(audited);
     // Who trusts another CA refuses the server.
     const auto mistrusted = refusalOf(options(server, issued(others, Kind::Client, {"client1"})));
     EXPECT_EQ(mistrusted.code, RefusalCode::PermissionDenied);
@@ -163,6 +166,15 @@ TEST_F(Tls, ACertificateOfAnotherCaIsRefusedAndBothSidesSayWhy) {
     stranger["IceSSL.CAs"] = (ours.path() / "ca.cert.pem").string();
     kLog->clear();
     const auto refused = refusalOf(options(server, stranger));
+    EXPECT_TRUE(waitUntil([&] {
+        bool recorded = false;
+        audit::readTrails(folder / "audit", {}, [&](const std::string&, const audit::Record& record) {
+            recorded = recorded || (record.kind == "refusal" && record.peer.starts_with("127.") &&
+                                    record.what.find("TLS handshake: the certificate is of another CA") !=
+                                        std::string::npos);
+        });
+        return recorded;
+    })) << "it is not in the audit";
     EXPECT_EQ(refused.code, RefusalCode::PermissionDenied);
     EXPECT_THAT(refused.message, HasSubstr("see the server's log"));
     EXPECT_TRUE(logged("was refused: the certificate is of another CA")) << kLog->all();

@@ -5,7 +5,6 @@ changed unnoticed.
 
     python3 tests/e2e/audit_test.py --bin build/dev/bin [unittest options]
 """
-import os
 import pathlib
 import shutil
 import sys
@@ -15,7 +14,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 sys.path.insert(0, str(ROOT / "tests" / "e2e"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 from ownership_test import USERS, Person  # noqa: E402
 
 BIN = programs()
@@ -36,8 +35,7 @@ class AuditTest(unittest.TestCase):
         shutil.copytree(ROOT / "examples" / "01_hello_entity", folder)
         basic = folder / "basic.xml"
         basic.write_text(basic.read_text().replace('name="Greeter"', 'name="left"'))
-        low = 5600 + os.getpid() * 20 % 2300
-        lab.ports = f"{low}-{low + 9}"
+        lab.ports = "%d-%d" % robot_ports()
         (folder / "ports.cfg").write_text(f"Axon.Ports = {lab.ports}\n")
         lab.start("app-left", "hello-entity", folder, folder / "ports.cfg")
         config = folder / "manager.cfg"
@@ -99,15 +97,23 @@ class AuditTest(unittest.TestCase):
         own = self.records(self.own_trail, "--entity", entity)
         self.assertLessEqual({"ownership", "command", "stop", "rearm"}, {line["kind"] for line in own})
         self.assertTrue(any(line["what"].startswith("dispatched Wait") for line in own), own)
+        # By the id of the client alone: the trail of the server is elsewhere.
+        his = self.records(self.own_trail, "--user", "client1")
+        self.assertTrue(any(line["what"].startswith("dispatched Wait") for line in his), his)
+        self.assertTrue(any(line["what"].startswith("granted") for line in his), his)
+        self.assertEqual({line["kind"] for line in self.records(self.own_trail, "--user", "boss")}, {"stop", "rearm"})
         everything = "".join(file.read_text() for folder in (self.trails, self.own_trail) for file in
                              folder.glob("*.jsonl"))
         self.assertNotIn("-secret", everything, "a password is in the trail")
 
         for folder in (self.trails, self.own_trail):
             self.assertEqual(self.verify(folder)[0], 0)
-        # Killed, and started again: the trail goes on.
+        # Killed, and started again: the trail goes on, with what was done at the last moment.
+        self.does(boss, "stop", "left")
         self.lab.server.kill()
         self.start_server(self.lab.at)
+        wait_until(lambda: len(self.records(self.trails, "--kind", "stop", "--user", "boss")) == 2,
+                   "the stop just before the kill is there")
         status, lines = self.verify(self.trails)
         self.assertEqual(status, 0, lines)
         self.assertEqual(len(self.records(self.trails, "--kind", "started")), 2)

@@ -64,8 +64,9 @@ class MemoryJournal final : public entity_manager::Journal, public Answers {
   public:
     bool append(const entity_manager::JournalRecord& record) override;
     entity_manager::Later<bool> appendDispatch(const entity_manager::JournalRecord& record) override;
+    void mention(const entity_manager::JournalRecord& record) override { mentioned.push_back(record); }
     void replay(const std::function<void(const entity_manager::JournalRecord&)>& each) override;
-    std::vector<entity_manager::JournalRecord> records;
+    std::vector<entity_manager::JournalRecord> records, mentioned;
     bool full = false;  ///< takes nothing more
 };
 

@@ -12,6 +12,8 @@
 #include "audit/reader.hpp"
 #include "cli/holding.hpp"
 #include "cli/words.hpp"
+#include "common/queue_share.hpp"
+#include "common/routed.hpp"
 
 // axon audit
 namespace axon::cli {
@@ -49,6 +51,12 @@ struct Known {
         if (!record.client.empty() && !record.user.empty()) users[record.client] = record.user;
         if (!record.entity.empty()) entities[record.name].insert(record.entity);
     }
+    /// The user's name is in the id of a session, as a number: enough for the trail of an Entity Manager,
+    /// which is told the id alone.
+    static bool isSessionOf(const std::string& client, const std::string& user) {
+        const auto uuid = uuidOf(client);
+        return uuid.size() > kUserDigits && uuid[kUserDigits] == '8' && uuid.starts_with(userPart(user));
+    }
     std::string userOf(const std::string& client) const {
         const auto user = users.find(client);
         return user == users.end() ? std::string() : user->second;
@@ -69,7 +77,7 @@ struct Filter {
     bool wants(const Record& record, const Known& known) const {
         return (entity.empty() || concerns(record)) &&
                (user.empty() || record.user == user || record.name == user || record.client == user ||
-                known.userOf(record.client) == user) &&
+                known.userOf(record.client) == user || Known::isSessionOf(record.client, user)) &&
                (kind.empty() || record.kind == kind) && record.at >= since &&
                record.at.compare(0, until.size(), until) <= 0;
     }
@@ -90,7 +98,7 @@ struct Filter {
     }
 };
 
-Json toJson(const std::string& trail, const Record& record) {
+Json toJson(const std::string& trail, const Record& record, const Known& known) {
     Json event{{"event", "audit_record"},
                {"trail", trail},
                {"n", record.number},
@@ -101,6 +109,8 @@ Json toJson(const std::string& trail, const Record& record) {
                                     std::pair{"entity", &record.entity}, std::pair{"what", &record.what},
                                     std::pair{"outcome", &record.outcome}})
         if (!text->empty()) event[key] = *text;
+    if (const auto user = known.userOf(record.client); record.user.empty() && !user.empty())
+        event["session_user"] = user;
     return event;
 }
 
@@ -151,7 +161,7 @@ int show(Session& session, const std::string& folder) {
                      [](const auto& a, const auto& b) { return a.second.at < b.second.at; });
     if (last > 0 && found.size() > last)
         found.erase(found.begin(), found.end() - static_cast<std::ptrdiff_t>(last));
-    for (const auto& [trail, record] : found) session.events.emit(toJson(trail, record));
+    for (const auto& [trail, record] : found) session.events.emit(toJson(trail, record, known));
     for (const auto& chain : chains)
         if (!chain.whole())
             session.events.emit(
@@ -186,7 +196,8 @@ int verify(Session& session, const std::string& folder) {
                              {"last", chain.last},
                              {"last_at", chain.last_at},
                              {"hash", chain.hash},
-                             {"unfinished", chain.unfinished}});
+                             {"unfinished", chain.unfinished},
+                             {"unfinished_lines", chain.unfinished_lines}});
         for (const auto& fault : chain.faults) bad(fault.place(), fault.text);
         if (chain.faulty > chain.faults.size())
             bad(chain.name, std::to_string(chain.faulty - chain.faults.size()) + " further lines are wrong");

@@ -10,6 +10,7 @@
 #include "cli/command_line.hpp"
 #include "cli/fake_station.hpp"
 #include "cli/view.hpp"
+#include "common/queue_share.hpp"
 
 using namespace axon;
 using namespace axon::cli;
@@ -72,6 +73,30 @@ TEST_F(Audit, ShowsTheRecordsThatAreAskedFor) {
 
 TEST_F(Audit, AUserIsFoundByWhatTheClientDidUnderAnotherName) {
     EXPECT_THAT(shown({"--user", "ann"}), ElementsAre(2, 3));
+}
+
+TEST_F(Audit, AUserIsFoundByTheIdOfTheClientWhereNoSessionIsInTheTrail) {
+    audit::TrailFolder of_manager;
+    audit::Files files(of_manager.path, "axon-entity-manager-Greeter", {});
+    const auto id = [](const char* user, char version) {
+        return userPart(user) + version + "123-9abc-123456789012";
+    };
+    add(files, {0, "", "stop", "", "tablet", id("ann", '8'), "", "e1", "stopped", "", ""});
+    add(files, {0, "", "stop", "", "tablet", "fe1:one:" + id("ann", '8'), "", "e1", "stopped", "", ""});
+    add(files, {0, "", "stop", "", "tablet", id("bob", '8'), "", "e1", "stopped", "", ""});
+    add(files, {0, "", "stop", "", "tablet", id("ann", '4'), "", "e1", "stopped", "", ""});  // no client's
+    add(files, {0, "", "stop", "", "tablet", userPart("ann"), "", "e1", "stopped", "", ""});
+    EXPECT_EQ(axon({"show", "--folder", of_manager.path.string(), "--user", "ann"}), kDone);
+    std::vector<int> numbers;
+    for (const auto& event : seen.events) numbers.push_back(event.at("n"));
+    EXPECT_THAT(numbers, ElementsAre(1, 2));
+}
+
+TEST_F(Audit, TheUserOfASessionIsToldWithWhatItsClientDid) {
+    shown({"--kind", "stop"});
+    EXPECT_EQ(seen.events.at(0).at("session_user"), "ann");
+    EXPECT_FALSE(seen.events.at(0).contains("user")) << "it is not in that record";
+    EXPECT_FALSE(seen.events.at(1).contains("session_user"));
 }
 
 TEST_F(Audit, AUserIsFoundInTheTrailsOfOtherServersToo) {

@@ -136,7 +136,9 @@ void EntityManagerCore::latch(const Incident& incident) {
 void EntityManagerCore::unlatch(const Incident& incident) {
     latch_.release();
     stops_.rearmed();
-    journal_.note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
+    journal_.note({.kind = JournalRecord::Kind::Rearmed,
+                   .who = named(incident.head->sender),
+                   .client = incident.head->sender.id});
     reply(incident.head->sender, incident.body->rearm().request_id(), {});
 }
 
@@ -352,7 +354,10 @@ void EntityManagerCore::refuse(const Incident& incident, const Refusal& refusal)
         return;
     }
     const auto& to = incident.head->sender;
-    if (incident.event != Event::CheckOut) journal_.noteRefusal(to, incident.head->held, refusal);
+    if (incident.event == Event::Raw)
+        journal_.noteRefusalOfRaw(to, incident.head->held, refusal);
+    else if (incident.event != Event::CheckOut)
+        journal_.noteRefusal(to, incident.head->held, refusal);
     switch (incident.event) {
 #define AXON_FACT(name) \
     case Event::name:   \

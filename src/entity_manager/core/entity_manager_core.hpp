@@ -288,7 +288,7 @@ class EntityManagerCore final : private Turn,
     StatusReport status_;
     Streams streams_{*this};
     HolderChannel holder_channel_{*this};
-    RequestReader reader_{*this};
+    RequestReader reader_{*this, journal_};
 
     PassedSignals passed_signals_;
 

@@ -31,16 +31,16 @@ std::optional<RequestReader::Request> RequestReader::read(const Header& head, st
     if (isTooLargeFor(head, bytes, partner)) return std::nullopt;
     if (!message_.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
         ++turn_.count().malformed;
-        turn_.reply(head.sender, {},
-                    {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
+        refuse(head, {},
+               {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
         return std::nullopt;
     }
     const Request request{rightOf(message_.body_case()), eventOf(message_), &message_};
     if (request.right == nullptr) {
-        turn_.reply(head.sender, {},
-                    {RefusalCode::NotSupported,
-                     "The Entity Manager does not know this kind of request. Is the client newer than it?",
-                     {}});
+        refuse(head, {},
+               {RefusalCode::NotSupported,
+                "The Entity Manager does not know this kind of request. Is the client newer than it?",
+                {}});
         return std::nullopt;
     }
     // By the header alone servers and both ends of a direct path know what it is. Nor does a run's message
@@ -58,8 +58,13 @@ std::optional<RequestReader::Request> RequestReader::read(const Header& head, st
     if (isRequest(request.event) && !of_run)
         turn_.refuse({request.event, &head, &message_}, refusal);
     else
-        turn_.reply(head.sender, {}, refusal);
+        refuse(head, {}, refusal);
     return std::nullopt;
+}
+
+void RequestReader::refuse(const Header& head, const std::string& request_id, const Refusal& refusal) {
+    journal_.noteRefusal(head.sender, head.held, refusal);
+    turn_.reply(head.sender, request_id, refusal);
 }
 
 /// What is large takes its time to be read, in which nothing else is done: only of who holds the entity, or
@@ -70,7 +75,7 @@ bool RequestReader::isTooLargeFor(const Header& head, std::string_view bytes, bo
     if (refusal.ok()) return false;
     refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) +
                       " KiB is not read. " + refusal.message;
-    turn_.reply(head.sender, {}, refusal);
+    refuse(head, {}, refusal);
     return true;
 }
 
@@ -82,7 +87,7 @@ void RequestReader::refuseOther(const Header& head, const Request& other) {
                    control ? "The action must be PAUSE, RESUME or CANCEL."
                            : "This is no request to an Entity Manager.",
                    {}};
-    turn_.reply(head.sender, control ? other.body->task_control().task_id() : std::string(), refusal);
+    refuse(head, control ? other.body->task_control().task_id() : std::string(), refusal);
 }
 
 }  // namespace axon::entity_manager

@@ -3,10 +3,12 @@
 #include <axon/messages.pb.h>
 
 #include <optional>
+#include <string>
 #include <string_view>
 
 #include "common/rights.hpp"
 #include "common/routed.hpp"
+#include "entity_manager/core/journal/journal_writer.hpp"
 #include "entity_manager/core/turn/state_table.hpp"
 #include "entity_manager/core/turn/turn.hpp"
 
@@ -23,7 +25,7 @@ class RequestReader {
         proto::ToEntity* body;  ///< until the next is read
     };
 
-    explicit RequestReader(Turn& turn) : turn_(turn) {}
+    RequestReader(Turn& turn, JournalWriter& journal) : turn_(turn), journal_(journal) {}
 
     /// `bytes` is an axon.proto.ToEntity. `partner`: its sender takes part in the same run. Nothing: it has
     /// been refused.
@@ -32,9 +34,11 @@ class RequestReader {
     void refuseOther(const Header& head, const Request& other);
 
   private:
+    void refuse(const Header& head, const std::string& request_id, const Refusal& refusal);
     bool isTooLargeFor(const Header& head, std::string_view bytes, bool partner);
 
     Turn& turn_;
+    JournalWriter& journal_;
     proto::ToEntity message_;  ///< kept for its memory
 };
 

@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/core_rig.hpp"
 #include "tests/support/fake_turn.hpp"
 
 namespace axon::entity_manager {
@@ -32,7 +33,9 @@ struct RequestReaders : testing::Test {
     Header head;
     std::string bytes;
     test::FakeTurn turn;
-    RequestReader reader{turn};
+    test::MemoryJournal journal;
+    JournalWriter writer{turn, &journal};
+    RequestReader reader{turn, writer};
 };
 
 TEST_F(RequestReaders, AMessageIsTheRequestOfItsBody) {
@@ -63,6 +66,10 @@ TEST_F(RequestReaders, WhatCannotBeReadIsRefusedAndCounted) {
     ASSERT_EQ(turn.replies.size(), 1U);
     EXPECT_EQ(turn.replies[0].code, RefusalCode::Malformed);
     EXPECT_EQ(turn.counted.malformed, 1U);
+    ASSERT_EQ(journal.mentioned.size(), 1U);
+    EXPECT_EQ(journal.mentioned[0].kind, JournalRecord::Kind::Refused);
+    EXPECT_EQ(journal.mentioned[0].client, "client");
+    EXPECT_EQ(journal.mentioned[0].code, "MALFORMED");
 }
 
 TEST_F(RequestReaders, AKindThatThisEditionDoesNotKnowIsRefusedAndNotMalformed) {

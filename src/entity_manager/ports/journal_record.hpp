@@ -27,12 +27,14 @@ struct JournalRecord {
         Dispatched,  ///< a task; written before it is sent
         TaskEnded,   ///< a task that had been dispatched
         Part,        ///< a further part of a composite task; the first one is its dispatch
+        Controlled,  ///< a pause, resume or cancel; mentioned only
     };
     Kind kind = Kind::Started;
     LeaseNumber lease{};           ///< note() fills in the present one
     std::uint32_t generation = 0;  ///< of the stops; note() fills in the present one
     std::int64_t at_us = 0;        ///< of the core's clock; note() fills it in
     std::string who{};             ///< for people: who asked, held or stopped
+    std::string client{};          ///< its id, which only the server gives; of an entity, if that asked
     Id128 task{};
     std::string service{};
     std::string code{};  ///< a token: refusal, stop cause or final state of a task
@@ -41,9 +43,9 @@ struct JournalRecord {
     bool operator==(const JournalRecord&) const = default;
 };
 
-inline constexpr std::array<std::string_view, 12> kJournalKinds{
-    "started", "granted", "lost",    "resumed",    "taken-over", "lease-ended",
-    "refused", "stopped", "rearmed", "dispatched", "task-ended", "part"};
+inline constexpr std::array<std::string_view, 13> kJournalKinds{
+    "started", "granted", "lost",       "resumed",    "taken-over", "lease-ended", "refused",
+    "stopped", "rearmed", "dispatched", "task-ended", "part",       "controlled"};
 
 inline std::string_view toString(JournalRecord::Kind kind) {
     return kJournalKinds.at(static_cast<std::size_t>(kind));

@@ -115,6 +115,9 @@ class Journal {
     /// The entry that goes before a task. True: it outlives a kill of this process from now on. False: it is
     /// not written, and the task may not begin.
     virtual Later<bool> appendDispatch(const JournalRecord& record) { return append(record); }
+    /// Not an entry: it may come too often, and nothing follows from it in a next life. For whoever records
+    /// more than a journal keeps (AuditedJournal).
+    virtual void mention(const JournalRecord&) {}
     /// `come` is called, on any thread, when an answer that was not there at once has come.
     virtual void onAnswer(std::function<void()>) {}
     /// All entries that are kept, oldest first. Called once, before the first append().

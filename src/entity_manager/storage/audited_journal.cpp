@@ -25,6 +25,7 @@ audit::Kind kindOf(JournalRecord::Kind kind) {
         case JournalRecord::Kind::Dispatched:
         case JournalRecord::Kind::TaskEnded:
         case JournalRecord::Kind::Part:
+        case JournalRecord::Kind::Controlled:
             break;
     }
     return audit::Kind::Command;
@@ -41,6 +42,7 @@ void AuditedJournal::note(const JournalRecord& record) const {
     if (!record.text.empty()) what += ": " + record.text;
     trail_.note({.kind = kindOf(record.kind),
                  .name = record.who,
+                 .client = record.client,
                  .entity = entity_,
                  .what = what,
                  .outcome = record.code});
@@ -71,6 +73,11 @@ Later<bool> AuditedJournal::appendDispatch(const JournalRecord& record) {
     }
     noteWritten();
     return written;
+}
+
+void AuditedJournal::mention(const JournalRecord& record) {
+    noteWritten();
+    note(record);
 }
 
 void AuditedJournal::onAnswer(std::function<void()> come) {

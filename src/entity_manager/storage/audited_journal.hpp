@@ -15,7 +15,8 @@ namespace axon::entity_manager {
 /// decides is known there already, so the core needs no further port.
 ///
 /// What the journal does not take is in the trail all the same, except a dispatch: it is noted when the
-/// journal has it, and not at all where its task may not begin.
+/// journal has it, and not at all where its task may not begin (the end of that task says why). What is only
+/// mentioned is in the trail and not in the journal.
 /// Threads: as the journal, whose thread notes dispatches. Failure: as the journal; the trail has none.
 class AuditedJournal final : public Journal {
   public:
@@ -30,6 +31,7 @@ class AuditedJournal final : public Journal {
 
     bool append(const JournalRecord& record) override;
     Later<bool> appendDispatch(const JournalRecord& record) override;
+    void mention(const JournalRecord& record) override;
     void onAnswer(std::function<void()> come) override;
     void replay(const std::function<void(const JournalRecord&)>& each) override { journal_.replay(each); }
 

@@ -50,11 +50,12 @@ struct AuditedJournalTest : testing::Test {
 
 TEST_F(AuditedJournalTest, EveryKindOfEntryHasItsKindInTheTrail) {
     for (std::size_t i = 0; i < kJournalKinds.size(); ++i) journal.append({.kind = static_cast<Kind>(i)});
-    EXPECT_THAT(trail.notes(),
-                ElementsAre(StartsWith("started|"), StartsWith("ownership|"), StartsWith("ownership|"),
-                            StartsWith("ownership|"), StartsWith("take-over|"), StartsWith("ownership|"),
-                            StartsWith("refusal|"), StartsWith("stop|"), StartsWith("rearm|"),
-                            StartsWith("command|"), StartsWith("command|"), StartsWith("command|")));
+    EXPECT_THAT(
+        trail.notes(),
+        ElementsAre(StartsWith("started|"), StartsWith("ownership|"), StartsWith("ownership|"),
+                    StartsWith("ownership|"), StartsWith("take-over|"), StartsWith("ownership|"),
+                    StartsWith("refusal|"), StartsWith("stop|"), StartsWith("rearm|"), StartsWith("command|"),
+                    StartsWith("command|"), StartsWith("command|"), StartsWith("command|")));
     EXPECT_EQ(kept.records.size(), kJournalKinds.size());
 }
 
@@ -63,12 +64,22 @@ TEST_F(AuditedJournalTest, SaysWhoDidWhatToWhichEntity) {
     const auto task = Id128::random(random);
     journal.setEntity("e2");
     EXPECT_TRUE(
-        journal.appendDispatch({.kind = Kind::Dispatched, .who = "ann", .task = task, .service = "Driving"})
+        journal
+            .appendDispatch(
+                {.kind = Kind::Dispatched, .who = "ann", .client = "c1", .task = task, .service = "Driving"})
             .value());
-    EXPECT_EQ(trail.last(), "command|ann||e2|dispatched Driving (task " + task.toString() + ")|");
+    EXPECT_EQ(trail.last(), "command|ann|c1|e2|dispatched Driving (task " + task.toString() + ")|");
     journal.append(
         {.kind = Kind::Stopped, .generation = 7, .who = "bob", .code = "REQUESTED", .text = "why"});
     EXPECT_EQ(trail.last(), "stop|bob||e2|stopped, generation 7: why|REQUESTED");
+}
+
+TEST_F(AuditedJournalTest, WhatIsOnlyMentionedIsInTheTrailAndNotInTheJournal) {
+    journal.mention({.kind = Kind::Controlled, .who = "ann", .client = "c1", .text = "PAUSE"});
+    EXPECT_EQ(trail.last(), "command|ann|c1|e1|controlled: PAUSE|");
+    journal.mention({.kind = Kind::Refused, .who = "ann", .code = "MALFORMED", .text = "why"});
+    EXPECT_EQ(trail.last(), "refusal|ann||e1|refused: why|MALFORMED");
+    EXPECT_TRUE(kept.records.empty());
 }
 
 TEST_F(AuditedJournalTest, WhatTheJournalDoesNotTakeIsRecordedUnlessItIsATaskThatMayNotBegin) {

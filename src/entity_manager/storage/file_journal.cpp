@@ -51,6 +51,7 @@ std::string lineOf(const JournalRecord& record) {
         line["lease"] = std::to_string(record.lease.epoch) + '/' + std::to_string(record.lease.number);
     line["generation"] = record.generation;
     if (!record.who.empty()) line["who"] = shortened(record.who);
+    if (!record.client.empty()) line["client"] = shortened(record.client);
     if (!record.task.isZero()) line["task"] = record.task.toString();
     if (!record.service.empty()) line["service"] = shortened(record.service);
     if (!record.code.empty()) line["code"] = shortened(record.code);
@@ -77,6 +78,7 @@ std::string readLine(const std::string& text, JournalRecord& record) {
     record.at_us = number("us");
     record.generation = static_cast<std::uint32_t>(number("generation"));
     record.who = word("who");
+    record.client = word("client");
     record.service = word("service");
     record.code = word("code");
     record.text = word("text");

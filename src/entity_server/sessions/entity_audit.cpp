@@ -3,6 +3,8 @@
 
 #include <string_view>
 
+#include "audit/commands.hpp"
+
 namespace axon::entity_server {
 
 using audit::Kind;
@@ -52,6 +54,17 @@ void EntityAudit::signal(const char* what, const Header& head, std::size_t entit
                  .client = head.sender.id,
                  .entity = head.entity,
                  .what = text});
+}
+
+void EntityAudit::command(const Header& head) const {
+    const bool rearm = head.msg_type == kMsgRearm;
+    if (!rearm && !audit::isCommand(head.msg_type)) return;
+    trail_.note({.kind = rearm ? Kind::Rearm : Kind::Command,
+                 .name = head.sender.name,
+                 .client = head.sender.id,
+                 .entity = head.entity,
+                 .what = head.msg_type,
+                 .outcome = "OK"});
 }
 
 }  // namespace axon::entity_server

@@ -23,6 +23,9 @@ class EntityAudit {
     /// A client's stop, reset or clear; to `entities` of them, where the head names none.
     void signal(const char* what, const Header& head, std::size_t entities) const;
 
+    /// A message on its way to an entity; of those that order something.
+    void command(const Header& head) const;
+
   private:
     audit::AuditTrail& trail_;
 };

@@ -56,6 +56,23 @@ TEST_F(EntityAuditTest, AStopSaysWhoseItIsAndForHowMany) {
     EXPECT_EQ(trail.last(), "stop|ann|c1|e1|its holder's front-end server is gone|");
 }
 
+TEST_F(EntityAuditTest, WhatOrdersSomethingIsRecordedAndNothingElse) {
+    Header head;
+    head.sender = {"c1", "ann", Role::Operator};
+    head.entity = "e1";
+    for (const auto* other : {kMsgText, kMsgRaw, kMsgParam, kMsgStatus, "OF_THE_FUTURE"}) {
+        head.msg_type = other;
+        audit.command(head);
+    }
+    EXPECT_TRUE(trail.notes().empty());
+    head.msg_type = kMsgTask;
+    audit.command(head);
+    EXPECT_EQ(trail.last(), "command|ann|c1|e1|TASK|OK");
+    head.msg_type = kMsgRearm;
+    audit.command(head);
+    EXPECT_EQ(trail.last(), "rearm|ann|c1|e1|REARM|OK");
+}
+
 TEST_F(EntityAuditTest, WithoutATrailNothingIsRecorded) {
     const EntityAudit none(nullptr);
     none.joined({"e1", "Cart"});

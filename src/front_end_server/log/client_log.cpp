@@ -2,17 +2,16 @@
 #include "front_end_server/log/client_log.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cstdint>
 #include <utility>
+
+#include "audit/commands.hpp"
 
 namespace axon::front_end_server {
 namespace {
 
 constexpr std::uint32_t kLinesPerSecond = 8;  // of a kind
 constexpr std::size_t kNamed = 16;
-constexpr std::array<std::string_view, 6> kCommands{kMsgCheckOut, kMsgRelease,     kMsgHandOver,
-                                                    kMsgTask,     kMsgTaskControl, kMsgRun};
 
 audit::Kind kindOf(std::string_view what) {
     return what == "rearm" ? audit::Kind::Rearm : what == "drill" ? audit::Kind::Command : audit::Kind::Stop;
@@ -65,7 +64,7 @@ void ClientLog::left(const Sender& who, std::string_view how, const std::string&
 }
 
 void ClientLog::command(const Header& head) const {
-    if (std::find(kCommands.begin(), kCommands.end(), head.msg_type) == kCommands.end()) return;
+    if (!audit::isCommand(head.msg_type)) return;
     trail_.note({.kind = audit::Kind::Command,
                  .name = head.sender.name,
                  .client = head.sender.id,

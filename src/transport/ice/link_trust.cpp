@@ -68,7 +68,7 @@ void LinkTrust::admit(const Ice::ObjectAdapter& adapter, std::vector<Kind> kinds
     for (const auto& endpoint : listenedEndpoints(adapter)) ports_.insert(endpoint.port);
 }
 
-void LinkTrust::guard(const std::shared_ptr<Ice::Communicator>& communicator) {
+void LinkTrust::guard(const std::shared_ptr<Ice::Communicator>& communicator, Elsewhere elsewhere) {
     judgeCertificates(communicator, [this](const Judged& one) {
         if (one.incoming) return mayCome(one.adapter, one.peer, one.certificate);
         const auto kind = one.certificate ? certificates::kindOf(one.certificate->unit) : std::nullopt;
@@ -78,17 +78,19 @@ void LinkTrust::guard(const std::shared_ptr<Ice::Communicator>& communicator) {
                                                   : std::string("was not shown"));
         return false;
     });
-    onRefused(
-        communicator, [this](const std::string& peer, const std::string& local, const std::string& why) {
-            {
-                const std::lock_guard lock(mutex_);
-                if (!ports_.contains(portOf(local))) return;
-            }
-            ++refused_;  // the log has it
-            const auto what = "link between servers: a connection was refused: " + why;
-            trail_.note(
-                {.kind = audit::Kind::Refusal, .peer = peer, .what = what, .outcome = "PERMISSION_DENIED"});
-        });
+    onRefused(communicator, [this, elsewhere = std::move(elsewhere)](
+                                const std::string& peer, const std::string& local, const std::string& why) {
+        bool ours = false;
+        {
+            const std::lock_guard lock(mutex_);
+            ours = ports_.contains(portOf(local));
+        }
+        if (!ours) return elsewhere ? elsewhere(peer, why) : void();
+        ++refused_;  // the log has it
+        const auto what = "link between servers: a connection was refused: " + why;
+        trail_.note(
+            {.kind = audit::Kind::Refusal, .peer = peer, .what = what, .outcome = "PERMISSION_DENIED"});
+    });
 }
 
 bool LinkTrust::mayCome(const std::string& adapter, const std::string& peer,

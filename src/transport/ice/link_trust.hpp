@@ -55,8 +55,10 @@ class LinkTrust {
     /// Only certificates of these kinds may connect to this adapter. Before it is activated.
     void admit(const Ice::ObjectAdapter& adapter, std::vector<certificates::Kind> kinds,
                Bare bare = Bare::Refused);
-    /// Has IceSSL ask. Before the communicator has adapters that are active, or connections.
-    void guard(const std::shared_ptr<Ice::Communicator>& communicator);
+    /// Has IceSSL ask. Before the communicator has adapters that are active, or connections. `elsewhere` is
+    /// told of connections that IceSSL itself has refused at other ports than those of links.
+    using Elsewhere = std::function<void(const std::string& peer, const std::string& why)>;
+    void guard(const std::shared_ptr<Ice::Communicator>& communicator, Elsewhere elsewhere = {});
 
     /// Who is at the other end of a connection to one of these adapters. Remembered until it closes.
     PeerCertificate callerOf(const std::shared_ptr<Ice::Connection>& connection);

@@ -54,6 +54,10 @@ class Logins {
     /// Whether the process at the other end of a connection on this machine (`peer`, `local` as above) may be
     /// a router, and vouch for others.
     virtual bool mayVouch(const std::string& peer, const std::string& local) = 0;
+
+    /// Somebody at this address was refused before he had a session, for another reason than who he is:
+    /// `what` he asked for, and why he did not get it. For the records.
+    virtual void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) = 0;
 };
 
 }  // namespace axon::transport

@@ -46,9 +46,20 @@ struct SessionLane {
     std::string server = {};  ///< its name, where there are several
     /// Of the data lane. Null on the signal lane: its peer has told its release on the other one.
     ReleaseNotes* releases = nullptr;
+    /// Is told of who is turned away, on either lane; null: nobody is.
+    Logins* door = nullptr;
     /// In place of `signal_endpoints`, where it depends on how the peer came.
     std::function<std::string(const PeerConnection& peer)> tell_signal_endpoint = {};
 
+    void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) const {
+        if (door != nullptr) door->turnedAway(peer, what, refusal);
+    }
+    /// The value; or it is told, and thrown, why there is none.
+    template <class T>
+    T orTurnAway(Result<T> result, const PeerConnection& peer, const std::string& what) const {
+        if (!result.ok()) turnedAway(peer.peer(), what, result.refusal());
+        return valueOrThrow(std::move(result));
+    }
     /// A session was opened for `peer` ("a client"), which has told this release.
     void noteRelease(const std::string& peer, const std::string& release) const {
         if (releases == nullptr) return;
@@ -208,15 +219,21 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
                  std::string display_name,
                  std::function<void(const std::shared_ptr<typename Kind::SessionPrx>&)> opened,
                  std::function<void(std::exception_ptr)> refused, const Ice::Current& current) {
-    if (const auto other = otherContract(current.ctx)) return refused(std::make_exception_ptr(toIce(*other)));
+    const std::string session = std::string("a session of ") + Kind::kPeer;
+    if (const auto other = otherContract(current.ctx)) {
+        lane.turnedAway(DirectConnection::peerOf(*current.con), session, *other);
+        return refused(std::make_exception_ptr(toIce(*other)));
+    }
     const auto peer = std::make_shared<DirectConnection>(current.con);
     request.peer = DirectConnection::peerOf(*peer->get());
     request.local = DirectConnection::localOf(*peer->get());
     request.certificate = certificateOf(*peer->get());
     request.origin = DirectConnection::originOf(*peer->get());
-    Logins::Answer answer = [&lane, peer, adapter = current.adapter, release = releaseIn(current.ctx),
-                             opened = std::move(opened), refused = std::move(refused),
+    Logins::Answer answer = [&lane, peer, session, adapter = current.adapter,
+                             release = releaseIn(current.ctx), opened = std::move(opened),
+                             refused = std::move(refused),
                              display_name = std::move(display_name)](Result<LoggedIn> who) {
+        if (!who.ok()) return refused(std::make_exception_ptr(toIce(who.refusal())));  // Logins records it
         try {
             auto proxy = addSession<typename Kind::SessionPrx>(
                 lane, peer, Kind::make(lane, peer, valueOrThrow(std::move(who)), display_name), adapter);
@@ -224,6 +241,7 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
             lane.noteRelease(Kind::kPeer, release);
             opened(proxy);
         } catch (...) {
+            lane.turnedAway(peer->peer(), session, translate(std::current_exception()));
             refused(std::current_exception());
         }
     };

@@ -59,6 +59,11 @@ Result<void> RouterConnections::admit(const std::shared_ptr<Ice::Connection>& co
     return {};
 }
 
+void RouterConnections::turnedAway(const Ice::Connection& connection, const std::string& what,
+                                   const Refusal& refusal) const {
+    if (logins_ != nullptr) logins_->turnedAway(DirectConnection::peerOf(connection), what, refusal);
+}
+
 void RouterConnections::add(const Ice::Connection* connection,
                             const std::shared_ptr<RoutedConnection>& session) {
     {

@@ -41,6 +41,8 @@ class RouterConnections {
     /// reason. Finding out may take a look at all connections of this machine; each is asked about once, as
     /// thousands may come back together after a restart.
     Result<void> admit(const std::shared_ptr<Ice::Connection>& connection);
+    /// Records who was refused what, and why.
+    void turnedAway(const Ice::Connection& connection, const std::string& what, const Refusal& refusal) const;
     /// An admitted connection has brought this session's first call.
     void add(const Ice::Connection* connection, const std::shared_ptr<RoutedConnection>& session);
     void remove(const Ice::Connection* connection, const RoutedConnection* session);

@@ -46,6 +46,7 @@ bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason
     if (const auto may = door.routers.admit(current.con); !may) {
         spdlog::warn("audit: somebody was to be verified for {}, which was refused: {}",
                      DirectConnection::peerOf(*current.con), may.refusal().message);
+        door.routers.turnedAway(*current.con, "the log-in of somebody behind a router", may.refusal());
         throw Glacier2::PermissionDeniedException(may.refusal().message);
     }
     auto answer = std::make_shared<std::promise<Result<LoggedIn>>>();
@@ -85,9 +86,13 @@ std::shared_ptr<Glacier2::SessionPrx> createSession(
     if (const auto may = door.routers.admit(current.con); !may) {
         spdlog::warn("audit: a session was asked for by {}, which was refused: {}",
                      DirectConnection::peerOf(*current.con), may.refusal().message);
+        door.routers.turnedAway(*current.con, "a session behind a router", may.refusal());
         cannotCreate(may.refusal().message);
     }
-    if (const auto other = otherContract(current.ctx)) cannotCreate(other->message);
+    if (const auto other = otherContract(current.ctx)) {
+        door.routers.turnedAway(*current.con, "a session behind a router", *other);
+        cannotCreate(other->message);
+    }
     if (!control)
         cannotCreate("the router has no way back: set Glacier2.Server.Endpoints in its configuration");
     const auto token = current.ctx.find(kContextToken);
@@ -124,7 +129,9 @@ std::shared_ptr<Glacier2::SessionPrx> createSession(
         return session;
     } catch (const std::exception&) {
         peer->disconnect({false, "its session could not be set up"}, false);
-        cannotCreate(translate(std::current_exception()).message);
+        const auto refusal = translate(std::current_exception());
+        door.routers.turnedAway(*current.con, "a session behind a router", refusal);
+        cannotCreate(refusal.message);
     }
 }
 

@@ -53,7 +53,7 @@ class ServerRim {
           signal_adapter_(listen(*signal, kName + "Signal", settings.signal_endpoint, 0, Idle::Watched)),
           limits_(*settings.limits) {
         const auto gate = Ice::stringToIdentity(Kind::kGate);
-        data_lane_.logins = settings.logins;
+        data_lane_.logins = data_lane_.door = signal_lane_.door = settings.logins;
         data_lane_.releases = &releases_;
         data_lane_.server = signal_lane_.server = settings.name;
         data_lane_.signal_endpoints = publishedEndpoints(*signal_adapter_);

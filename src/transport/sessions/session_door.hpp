@@ -36,7 +36,7 @@ class SessionDoor {
           limits_(*settings.limits),
           timer_("axon-door-timer", Lane::Data, kLook, clock,
                  [this] { return std::min(data_lane_.sessions.expire(), signal_lane_.sessions.expire()); }) {
-        data_lane_.logins = settings.data.logins;
+        data_lane_.logins = data_lane_.door = signal_lane_.door = settings.data.logins;
         signal_lane_.logins = settings.signal.logins;
         data_lane_.tell_signal_endpoint = [tell = settings.signal_endpoint](const PeerConnection& peer) {
             const auto* direct = dynamic_cast<const DirectConnection*>(&peer);

@@ -67,6 +67,8 @@ void Teamwork::considerRun(const Incident& incident) {
         event.set_sequence(1);
         event.set_state(proto::RUN_REFUSED);
         *event.mutable_reason() = problems.front().refusal();
+        journal_.noteRefusal(incident.head->sender, incident.head->held,
+                             toRefusal(problems.front().refusal()));
         for (auto& found : problems) event.add_problems()->Swap(&found);
         tellRun(incident.head->sender, event);
         return;
@@ -79,6 +81,7 @@ void Teamwork::considerRun(const Incident& incident) {
         memory_.accept(*id);
         run_noted_ = journal_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
                                             .who = named(*turn_.holder()),
+                                            .client = turn_.holder()->id,
                                             .task = *id,
                                             .service = run_->request().service().name()});
     }
@@ -185,10 +188,12 @@ bool Teamwork::control(const Incident& incident) {
     const auto refusal = incident.event == Event::Pause    ? run_->pause(now)
                          : incident.event == Event::Resume ? run_->resume(now)
                                                            : run_->cancel(now);
-    if (refusal.ok())
+    if (refusal.ok()) {
+        journal_.mentionControl(incident.head->sender, id, toString(incident.event));
         turn_.reply(incident.head->sender, id, {});
-    else
+    } else {
         turn_.refuse(incident, refusal);
+    }
     return true;
 }
 

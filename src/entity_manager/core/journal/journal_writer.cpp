@@ -15,6 +15,15 @@ bool isOfOwnership(RefusalCode code) {
            code == RefusalCode::PermissionDenied;
 }
 
+JournalRecord refusalOf(const Sender& who, LeaseNumber under, const Refusal& refusal) {
+    return {.kind = JournalRecord::Kind::Refused,
+            .lease = under,
+            .who = named(who),
+            .client = who.id,
+            .code = std::string(refusalName(refusal.code)),
+            .text = refusal.message};
+}
+
 }  // namespace
 
 void JournalWriter::begin(TaskMemory& memory, LeaseNumber last, std::string text) {
@@ -62,17 +71,41 @@ bool JournalWriter::recorded(bool written) {
     return written;
 }
 
-void JournalWriter::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
-    if (!isOfOwnership(refusal.code) || journal_ == nullptr) return;
+void JournalWriter::mention(JournalRecord record) {
+    if (journal_ == nullptr) return;
+    complete(record);
+    journal_->mention(record);
+}
+
+void JournalWriter::mentionControl(const Sender& who, const std::string& task_id, std::string_view action) {
+    mention({.kind = JournalRecord::Kind::Controlled,
+             .who = named(who),
+             .client = who.id,
+             .task = Id128::fromBytes(task_id).value_or(Id128{}),
+             .code = "OK",
+             .text = std::string(action)});
+}
+
+/// False: it is not one of ownership, or their bound is reached.
+bool JournalWriter::noteIfOfOwnership(const JournalRecord& record, RefusalCode code) {
+    if (!isOfOwnership(code)) return false;
     if (!refusals_noted_.admit(turn_.now())) {
         ++turn_.count().unrecorded;
-        return;
+        return false;
     }
-    note({.kind = JournalRecord::Kind::Refused,
-          .lease = under,
-          .who = named(who),
-          .code = std::string(refusalName(refusal.code)),
-          .text = refusal.message});
+    note(record);
+    return true;
+}
+
+void JournalWriter::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
+    if (journal_ == nullptr || refusal.ok()) return;
+    const auto record = refusalOf(who, under, refusal);
+    if (!noteIfOfOwnership(record, refusal.code)) mention(record);
+}
+
+void JournalWriter::noteRefusalOfRaw(const Sender& who, LeaseNumber under, const Refusal& refusal) {
+    if (journal_ == nullptr) return;
+    noteIfOfOwnership(refusalOf(who, under, refusal), refusal.code);
 }
 
 }  // namespace axon::entity_manager

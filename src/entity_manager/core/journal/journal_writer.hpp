@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <string>
+#include <string_view>
 
 #include "common/rate_limit.hpp"
 #include "common/refusal.hpp"
@@ -33,11 +34,19 @@ class JournalWriter {
     Later<bool> noteDispatch(JournalRecord record);
     /// Counts, and warns of, what the journal does not take; returns what it is told.
     bool recorded(bool written);
-    /// Refusals of ownership are noted; others are not.
+    /// Refusals of ownership are noted, as far as their bound goes; others are mentioned.
     void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal);
+    /// Of raw data, which may be refused many times in a second: those of ownership are noted, and nothing
+    /// else.
+    void noteRefusalOfRaw(const Sender& who, LeaseNumber under, const Refusal& refusal);
+    /// A pause, resume or cancel that is carried out.
+    void mentionControl(const Sender& who, const std::string& task_id, std::string_view action);
+    /// A task has ended that had not begun.
+    void mention(JournalRecord record);
 
   private:
     void complete(JournalRecord& record) const;
+    bool noteIfOfOwnership(const JournalRecord& record, RefusalCode code);
 
     Turn& turn_;
     Journal* const journal_;

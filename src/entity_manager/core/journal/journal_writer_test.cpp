@@ -54,17 +54,34 @@ TEST_F(JournalWriters, TheEntryBeforeATaskIsAnsweredWhenTheDiskHasIt) {
     EXPECT_TRUE(written.ready() && written.value());
 }
 
-TEST_F(JournalWriters, RefusalsOfOwnershipAreNotedTenASecondAndOthersNever) {
-    writer.noteRefusal({"a", "Ada", Role::Operator}, {}, {RefusalCode::OutOfRange, "", {}});
+TEST_F(JournalWriters, RefusalsOfOwnershipAreNotedTenASecondAndOthersAreMentioned) {
+    writer.noteRefusal({"a", "Ada", Role::Operator}, {}, {RefusalCode::OutOfRange, "why", {}});
     EXPECT_TRUE(journal.records.empty());
+    ASSERT_EQ(journal.mentioned.size(), 1U);
+    EXPECT_EQ(journal.mentioned[0].client, "a");
+    EXPECT_EQ(journal.mentioned[0].code, refusalName(RefusalCode::OutOfRange));
+    EXPECT_EQ(journal.mentioned[0].text, "why");
     for (int i = 0; i < 12; ++i)
         writer.noteRefusal({"a", "Ada", Role::Operator}, {}, {RefusalCode::NotHolder, "", {}});
     EXPECT_EQ(journal.records.size(), 10U);
     EXPECT_EQ(turn.counted.unrecorded, 2U);
+    EXPECT_EQ(journal.mentioned.size(), 3U) << "an audit has bounds of its own";
     turn.clock.advance(1s);
     writer.noteRefusal({"a", "Ada", Role::Operator}, {}, {RefusalCode::PermissionDenied, "", {}});
     EXPECT_EQ(journal.records.back().code, refusalName(RefusalCode::PermissionDenied));
     EXPECT_EQ(journal.records.size(), 11U);
+    EXPECT_EQ(journal.records.back().client, "a");
+    writer.noteRefusal({"a", "Ada", Role::Operator}, {}, {});
+    EXPECT_EQ(journal.mentioned.size(), 3U) << "that was none";
+}
+
+TEST_F(JournalWriters, OfRawDataOnlyRefusalsOfOwnershipAreKeptTenASecond) {
+    writer.noteRefusalOfRaw({"a", "Ada", Role::Operator}, {}, {RefusalCode::TooLarge, "", {}});
+    EXPECT_TRUE(journal.records.empty());
+    for (int i = 0; i < 12; ++i)
+        writer.noteRefusalOfRaw({"a", "Ada", Role::Operator}, {}, {RefusalCode::NotHolder, "", {}});
+    EXPECT_EQ(journal.records.size(), 10U);
+    EXPECT_TRUE(journal.mentioned.empty());
 }
 
 TEST_F(JournalWriters, WhatAnEarlierLifeHasDispatchedDoesNotRunAgainAndIsEndedAsUnknown) {
@@ -90,6 +107,8 @@ TEST_F(JournalWriters, WithoutAJournalEverythingCountsAsWritten) {
     JournalWriter none{turn, nullptr};
     EXPECT_TRUE(none.note({.kind = Kind::Rearmed}));
     EXPECT_TRUE(none.noteDispatch({.kind = Kind::Dispatched}).value());
+    none.mentionControl({"a", "Ada", Role::Operator}, {}, "Pause");
+    none.noteRefusal({"a", "Ada", Role::Operator}, {}, {RefusalCode::Malformed, "", {}});
     EXPECT_EQ(turn.counted.unrecorded, 0U);
 }
 

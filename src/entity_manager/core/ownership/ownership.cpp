@@ -343,7 +343,8 @@ void Ownership::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
         lease_.grant(claim);
     taken_.clear();
     journal_.note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
-                   .who = named(claim.client)});
+                   .who = named(claim.client),
+                   .client = claim.client.id});
     others_.granted(granted);
     if (resumes && hand_over_.open()) tellQuestion(*hand_over_.open(), false);
 }
@@ -361,6 +362,7 @@ void Ownership::takeOver(const Claim& claim, proto::CheckOutPhase phase, const R
         taken.reason = why;
         journal_.note({.kind = JournalRecord::Kind::TakenOver,
                        .who = named(claim.client),
+                       .client = claim.client.id,
                        .code = std::string(refusalName(why.code)),
                        .text = why.message});
         taken_ = why.message;
@@ -512,6 +514,7 @@ void Ownership::orphan(const Incident& incident) {
     lease_.orphan(turn_.now() + settings_.grace);
     journal_.note({.kind = JournalRecord::Kind::Lost,
                    .who = named(lease_.held()->holder),
+                   .client = lease_.held()->holder.id,
                    .text = incident.reason.message});
 }
 
@@ -528,6 +531,7 @@ void Ownership::end(const Incident& incident) {
     if (!AXON_PLANTED(LoserNotTold) || incident.event != Event::TakenOver) sendLeaseEnded(held, reason);
     journal_.note({.kind = JournalRecord::Kind::LeaseEnded,
                    .who = named(held.holder),
+                   .client = held.holder.id,
                    .code = std::string(refusalName(reason.code)),
                    .text = reason.message});
     lease_.end(own_wish                                       ? RefusalCode::NotHolder

@@ -46,6 +46,7 @@ void StopOrders::note(const Incident& incident) {
     journal_.note({.kind = JournalRecord::Kind::Stopped,
                    .generation = incident.generation,
                    .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
+                   .client = incident.head != nullptr ? incident.head->sender.id : std::string(),
                    .code = toString(incident.cause),
                    .text = incident.reason.message});
 }

@@ -161,6 +161,7 @@ Result<bool> Tasks::prepare(Task& task) {
         task.noted = journal_.noteDispatch(
             {.kind = JournalRecord::Kind::Dispatched,
              .who = named(*turn_.holder()),
+             .client = turn_.holder()->id,
              .task = task.id,
              .service = task.service,
              .text = task.plan.composite ? partText(profiler_, task, 0) : std::string()});
@@ -416,6 +417,7 @@ void Tasks::control(const Incident& incident) {
     if (active == nullptr) {
         if (id && incident.event == Event::Cancel) {
             if (const auto task = queue_.remove(*id)) {
+                journal_.mentionControl(to, control.task_id(), toString(incident.event));
                 turn_.reply(to, control.task_id(), {});
                 sendTask(*task, proto::TASK_CANCELLED,
                          {RefusalCode::Cancelled, "Cancelled while it waited.", {}});
@@ -459,6 +461,7 @@ void Tasks::control(const Incident& incident) {
                                 {}});
         return;
     }
+    journal_.mentionControl(to, control.task_id(), toString(incident.event));
     turn_.reply(to, control.task_id(), {});
     if (incident.event == Event::Cancel)
         active->cancelled = true;
@@ -492,12 +495,16 @@ void Tasks::tellTask(proto::TaskEvent& event) {
 void Tasks::concludeTask(const Task& task, proto::TaskEvent& event) {
     event.set_task_id(task.id.bytes());
     event.set_service(task.service);
+    JournalRecord record{.kind = JournalRecord::Kind::TaskEnded,
+                         .task = task.id,
+                         .service = task.service,
+                         .code = proto::TaskState_Name(event.state()),
+                         .text = event.reason().message()};
+    if (turn_.holder() != nullptr) record.client = turn_.holder()->id;
     if (memory_.wasDispatched(task.id) || task.noted)
-        journal_.note({.kind = JournalRecord::Kind::TaskEnded,
-                       .task = task.id,
-                       .service = task.service,
-                       .code = proto::TaskState_Name(event.state()),
-                       .text = event.reason().message()});
+        journal_.note(std::move(record));
+    else
+        journal_.mention(std::move(record));
     memory_.ended(task.id, turn_.held() ? turn_.held()->number : LeaseNumber{}, event, turn_.now());
     tellTask(event);
 }

@@ -142,6 +142,7 @@ void Tasks::continueParts() {
         // no more.
         journal_.note({.kind = JournalRecord::Kind::Part,
                        .who = named(*turn_.holder()),
+                       .client = turn_.holder()->id,
                        .task = active.task.id,
                        .service = active.task.service,
                        .text = active.partText(profiler_)});

@@ -225,12 +225,43 @@ TEST_F(Tasks, NothingStartsThatTheJournalDoesNotTake) {
     rig.journal.full = true;
     rig.task("client1", "t1", "Turning");
     EXPECT_EQ(dispatches(rig, "t1"), 0);
+    ASSERT_FALSE(rig.journal.mentioned.empty()) << "the audit has it all the same";
+    EXPECT_EQ(rig.journal.mentioned.back().kind, Kind::TaskEnded);
+    EXPECT_EQ(rig.journal.mentioned.back().code, "TASK_REFUSED");
+    EXPECT_EQ(rig.journal.mentioned.back().task.bytes(), idOf("t1"));
     EXPECT_EQ(lastOf(rig, "t1").state(), proto::TASK_REFUSED);
     EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::OVERLOADED);
     EXPECT_FALSE(rig.busy);
     rig.stop("client2");  // a stop does not depend on it
     EXPECT_TRUE(rig.core().latched());
     EXPECT_GT(rig.core().counters().unrecorded, 0U);
+}
+
+TEST_F(Tasks, WhatControlsATaskIsMentionedForTheAuditWithTheIdOfItsClientWhateverWayItCame) {
+    const auto control = [&](const char* task, proto::TaskAction action) {
+        proto::ToEntity message;
+        message.mutable_task_control()->set_task_id(idOf(task));
+        message.mutable_task_control()->set_action(action);
+        rig.send("client1", message);
+    };
+    const auto id = rig.headOf("client1").sender.id;
+    rig.task("client1", "t1", "Turning");
+    rig.grant("t1");
+    EXPECT_EQ(rig.journal.records.back().kind, Kind::Dispatched);
+    EXPECT_EQ(rig.journal.records.back().client, id);
+    auto& mentioned = rig.journal.mentioned;
+    mentioned.clear();
+    control("t1", proto::CANCEL);
+    ASSERT_EQ(mentioned.size(), 1U);
+    EXPECT_EQ(mentioned[0].kind, Kind::Controlled);
+    EXPECT_EQ(mentioned[0].text, "Cancel");
+    EXPECT_EQ(mentioned[0].client, id);
+    EXPECT_EQ(mentioned[0].task.bytes(), idOf("t1"));
+    control("t2", proto::PAUSE);
+    ASSERT_EQ(mentioned.size(), 2U);
+    EXPECT_EQ(mentioned[1].kind, Kind::Refused);
+    EXPECT_EQ(mentioned[1].client, id);
+    EXPECT_EQ(mentioned[1].code, "UNKNOWN_TASK");
 }
 
 /// The journal's disk takes its time.
