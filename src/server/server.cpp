@@ -529,7 +529,9 @@ class Server::Parts {
 
     /// First who may come in, then who may stay: whoever comes in between is asked again by the cores.
     void take(std::shared_ptr<const users::Users> users) {
-        logins.setUsers(std::move(users));
+        const auto before = std::exchange(users_here, users);
+        logins.setUsers(users);
+        if (console) console->usersChanged(*before, *users);
         if (front_end) front_end->core().usersChanged();
         if (entity) entity->core().usersChanged();
     }
@@ -640,7 +642,8 @@ class Server::Parts {
     transport::ConnectionLimits limits{steady, [this](const std::string& line) { noteClosed(line); }};
     std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;
-    const std::shared_ptr<const users::Users> first_users;  // null: there are none
+    const std::shared_ptr<const users::Users> first_users;        // null: there are none
+    std::shared_ptr<const users::Users> users_here{first_users};  // confined to axon-files
     LoginDesk logins;
     const std::unique_ptr<transport::LinkTrust> links;  // null but where those to other servers are under TLS
     Ice::CommunicatorHolder data;
