@@ -513,7 +513,7 @@ void PersonView::showUserChanged(const Json& event) {
                       : action == "password" ? std::string("has a new password")
                                              : std::string("is removed");
     say(paint("✓", Tint::Green) + " " + textOf(event, "name") + " " + what +
-        "; servers that read this file take it over within 3 s");
+        "; servers that read this file say in their logs when they have taken it over (users: taken)");
 }
 
 void PersonView::showAuditRecord(const Json& record) {

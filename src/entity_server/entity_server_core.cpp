@@ -334,14 +334,16 @@ bool EntityServerCore::isUser(const Session& session) const {
 }
 
 void EntityServerCore::usersChanged() {
-    std::vector<SessionRef> gone;
+    // Decided without the mutex, which heartbeats need: whoever registers in between is asked there.
+    std::vector<SessionRef> here;
     {
         const std::lock_guard lock(mutex_);
-        for (const auto& [entity, session] : registered_)
-            if (!isUser(*session)) gone.push_back(session);
+        here.reserve(registered_.size());
+        for (const auto& [entity, session] : registered_) here.push_back(session);
     }
-    for (const auto& session : gone)
-        leave(session, false, "the user '" + session->user + "' was removed or got another role");
+    for (const auto& session : here)
+        if (!isUser(*session))
+            leave(session, false, "the user '" + session->user + "' was removed or got another role");
 }
 
 void EntityServerCore::leave(const SessionRef& session, bool orderly, const std::string& why) {

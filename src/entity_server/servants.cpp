@@ -292,6 +292,7 @@ std::shared_ptr<EntitySessionServant> EntitySessions::make(
 }
 
 certificates::Kind FrontEndToEntityServant::callerOf(std::string_view operation) {
+    if (operation == "clientRequest") return certificates::Kind::Storm;
     const bool of_peers =
         operation == "entityServerUpdate" || operation == "peerMsg" || operation == "peerRefusal";
     return of_peers ? certificates::Kind::EntityServer : certificates::Kind::FrontEnd;

@@ -28,6 +28,11 @@ void refuseUnknown(ClientOutbox& to, const Header& head) {
     to.newRefusalMsg(head, unknownEntity(head.entity));
 }
 
+std::string sessionsOf(const std::string& user, const FrontEndCoreSettings& settings) {
+    return "the user '" + user + "' has " + std::to_string(settings.user_sessions) +
+           " sessions, which is the most";
+}
+
 }  // namespace
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
@@ -98,11 +103,15 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
                                                        " clients; raise FrontEndServer.ClientsMax");
         }
         auto share = shareOf(user);
-        if (share && share->sessions >= settings_.user_sessions)
-            return refuse(RefusalCode::Overloaded, "the user '" + user + "' has " +
-                                                       std::to_string(settings_.user_sessions) +
-                                                       " sessions, which is the most; fix: end some, or have "
-                                                       "FrontEndServer.UserSessions raised");
+        // Whoever needs one more may need it to stop a robot. A quarter is kept free for the other users, so
+        // that one program that opens sessions without end does not keep them from stopping.
+        const bool surplus = share && share->sessions - share->surplus >= settings_.user_sessions;
+        if (surplus && clients_.size() + settings_.clients_max / 4 >= settings_.clients_max)
+            return refuse(
+                RefusalCode::Overloaded,
+                sessionsOf(user, settings_) +
+                    ", and the server keeps its last places for other users; fix: end some, or have "
+                    "FrontEndServer.UserSessions raised");
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
         const auto origin = alone() ? std::string() : settings_.name + ":" + others_.self().instance + ":";
@@ -110,11 +119,12 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         auto id = Id128::uuid(random_).toString();
         id[kUserDigits] = '8';
         if (!user.empty()) id.replace(0, kUserDigits, userPart(user));
-        Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), role};
+        Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), surplus ? Role::Observer : role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
-                                          settings_, clock_.now(), user, share);
+                                          settings_, clock_.now(), user, share, surplus);
         if (share) {
             ++share->sessions;
+            if (surplus) ++share->surplus;
             shares_.emplace(user, std::move(share));
         }
         clients_.add(client);
@@ -122,6 +132,11 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
     wake_();
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
     log_.joined(client->me, user);
+    if (client->surplus && role != Role::Observer)
+        client->data->newUpdateMsg(RefusalCode::Overloaded,
+                                   sessionsOf(user, settings_) +
+                                       ", so this one may only watch and stop; fix: end some and open this "
+                                       "one again, or have FrontEndServer.UserSessions raised");
     client->told = pushAll(*client);
     return client;
 }
@@ -202,8 +217,27 @@ bool FrontEndCore::drillsTooMuch(const ClientRef& client, const Header& head, st
     return true;
 }
 
+/// Its connection may still be open, behind a router even for a while. Not asked for a stop.
+Result<void> FrontEndCore::isHere(const Client& client) {
+    if (!client.gone) return {};
+    return refuse(RefusalCode::NotConnected, "its session has ended; fix: open a new one");
+}
+
+bool FrontEndCore::refuseGone(const Client& client, const Header& head, ClientOutbox& to) const {
+    const auto here = isHere(client);
+    if (here.ok()) return false;
+    to.newRefusalMsg(head, here.refusal());
+    log_.refused(head, here.refusal());
+    return true;
+}
+
 void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
+    if (client->gone) {
+        head.sender = client->me;
+        refuseGone(*client, head, *client->data);
+        return;
+    }
     if (head.msg_type == kMsgStatus) {
         if (client->lists.admit(clock_.now())) {
             pushAll(*client);
@@ -274,13 +308,23 @@ bool FrontEndCore::refuseUnseen(const ClientRef& client, const Header& head) {
     return true;
 }
 
-/// Of those that the client sees; how many these are.
-std::size_t FrontEndCore::drillAll(const Client& client, const Header& head) {
+/// Whether a signal for every entity is not for all of them.
+bool FrontEndCore::keptBack(const Client& client, const Header& head) const {
+    return head.entity.empty() && !client.user.empty() && !access(Lane::Signal)->empty();
+}
+
+std::vector<std::string> FrontEndCore::allSeen(const Client& client) const {
     const auto lists = access(Lane::Signal);
     std::vector<std::string> seen;
     entities_.each(Lane::Signal, [&](const Entities::RecordRef& record) {
         if (sees(client, *lists, record->registration)) seen.push_back(record->registration.entity);
     });
+    return seen;
+}
+
+/// Of those that the client sees; how many these are.
+std::size_t FrontEndCore::drillAll(const Client& client, const Header& head) {
+    const auto seen = allSeen(client);
     for (std::size_t i = 0; i < seen.size(); i += kStopsAtOnce) {
         const auto begin = seen.begin() + static_cast<std::ptrdiff_t>(i);
         const auto end = begin + static_cast<std::ptrdiff_t>(std::min(kStopsAtOnce, seen.size() - i));
@@ -289,10 +333,33 @@ std::size_t FrontEndCore::drillAll(const Client& client, const Header& head) {
     return seen.size();
 }
 
+/// A reset or a clear: to the entity that it names, or to all that the client sees.
+template <class Send>
+void FrontEndCore::sendSignal(const ClientRef& client, Header head, const char* what, Send&& send) {
+    head.sender = client->me;
+    if (refuseGone(*client, head, *client->signalOutbox())) return;
+    std::size_t cost = 1;
+    if (keptBack(*client, head)) {
+        auto one = head;
+        for (auto& entity : allSeen(*client)) {
+            one.entity = std::move(entity);
+            send(one);
+            ++cost;
+        }
+    } else {
+        if (refuseUnseen(client, head)) return;
+        send(head);
+    }
+    log_.audit(what, client->me, {head.entity}, entities_.known());
+    flooded(client, 1 + cost / kStopsForOne);
+}
+
 Result<void> FrontEndCore::mayGoOn(Client& client, Header& head, std::size_t bytes, bool droppable) {
+    if (auto may = isHere(client); !may.ok()) return may;
     if (auto may = admitToShare(client, bytes, droppable, settings_, clock_); !may.ok()) return may;
     if (auto may = mayByLists(client, head, Lane::Data); !may.ok()) return may;
-    if (auto may = admitCheckOut(client, head, settings_); !may.ok()) return may;
+    if (auto may = admitCheckOut(client, head, settings_); !may.ok() && !heldByUser(client, head.entity))
+        return may;
     const auto first_check_out = admit(client, head, bytes, entities_, clock_);
     if (!first_check_out.ok()) return first_check_out.refusal();
     if (!first_check_out.value()) return {};
@@ -307,6 +374,16 @@ Result<void> FrontEndCore::mayGoOn(Client& client, Header& head, std::size_t byt
     }
     wake_();
     return {};
+}
+
+/// By another session of the client's user, or by one that was lost and may be resumed: who takes that over
+/// holds no more than before.
+bool FrontEndCore::heldByUser(const Client& client, const std::string& entity) const {
+    if (client.user.empty()) return false;
+    const std::lock_guard lock(mutex_);
+    const auto record = entities_.find(entity);
+    // All sessions of a user have the same key.
+    return record && senderKey(record->status.holder.id) == senderKey(client.me.id);
 }
 
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
@@ -349,10 +426,10 @@ void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCaus
     // What only servers may say is not taken from a client.
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
+    if (cause == StopCause::Drill && refuseGone(*client, head, *client->signalOutbox())) return;
     if (cause == StopCause::Drill && drillsTooMuch(client, head, entities_.targets(head.entity))) return;
-    const bool drills_all = cause == StopCause::Drill && head.entity.empty();
-    if (cause == StopCause::Drill && !drills_all && refuseUnseen(client, head)) return;
-    const bool some = drills_all && !client->user.empty() && !access(Lane::Signal)->empty();
+    const bool some = cause == StopCause::Drill && keptBack(*client, head);
+    if (cause == StopCause::Drill && !some && refuseUnseen(client, head)) return;
     if (!some) topic_.stopSignal(head, cause);
     const auto targets = some ? drillAll(*client, head) : entities_.targets(head.entity);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
@@ -373,6 +450,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     std::vector<std::string> wanted;
     std::copy_if(entities.begin(), end, std::back_inserter(wanted),
                  [&](const auto& entity) { return seen.insert(entity).second; });
+    if (cause == StopCause::Drill && refuseGone(*client, head, *client->signalOutbox())) return;
     if (cause == StopCause::Drill && drillsTooMuch(client, head, wanted.size())) return;
     if (cause == StopCause::Drill) {
         const auto unseen = std::stable_partition(wanted.begin(), wanted.end(), [&](const auto& entity) {
@@ -412,19 +490,11 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
 }
 
 void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
-    head.sender = client->me;
-    if (refuseUnseen(client, head)) return;
-    topic_.resetSignal(head);
-    log_.audit("reset", client->me, {head.entity}, entities_.known());
-    flooded(client);
+    sendSignal(client, std::move(head), "reset", [this](const Header& to) { topic_.resetSignal(to); });
 }
 
 void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
-    head.sender = client->me;
-    if (refuseUnseen(client, head)) return;
-    topic_.clearSignal(head);
-    log_.audit("clear", client->me, {head.entity}, entities_.known());
-    flooded(client);
+    sendSignal(client, std::move(head), "clear", [this](const Header& to) { topic_.clearSignal(to); });
 }
 
 void FrontEndCore::keepAlive(const ClientRef& client) {
@@ -436,8 +506,10 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
     {
         const std::lock_guard lock(mutex_);
         if (!clients_.remove(client)) return;
+        client->gone = true;
         held = holdings_.of(client->me.id);
         client->share->held -= client->entities.held();
+        if (client->surplus) --client->share->surplus;
         if (!client->user.empty() && --client->share->sessions == 0) shares_.erase(client->user);
         gone_.remember(client->me, ending);
     }
@@ -464,28 +536,53 @@ std::optional<std::string> FrontEndCore::lessThan(const std::string& user, Role 
     return std::nullopt;
 }
 
-/// Under the mutex: which of the entities that it holds it may no longer check out. What else it has asked of
-/// entities without having the right any more is given up.
-std::optional<std::string> FrontEndCore::lessBy(const Client& client, const users::Access& before,
-                                                const users::Access& now,
-                                                std::vector<std::pair<Sender, std::string>>& given_up) const {
-    const auto held = holdings_.of(client.me.id);
-    for (const auto& [entity, check_out] : client.entities.all()) {
-        const auto record = entities_.find(entity);
-        if (!record) continue;
-        const auto& name = record->registration.name;
+/// Why this client may not go on holding the entity. One that never asked for it cannot have it, whatever the
+/// entity says, and is not to be lost for that.
+std::optional<std::string> FrontEndCore::mayNotHold(const Client& client, const Registration& its) const {
+    if (client.user.empty() || !client.entities.askedForCheckOut(its.entity)) return std::nullopt;
+    if (access(Lane::Data)->allows(client.user, client.me.role, EntityRight::CheckOut, its.entity, its.name))
+        return std::nullopt;
+    return "the user '" + client.user + "' may no longer check out " + its.name;
+}
+
+/// Why the client is to be lost: an entity that it holds. What else it has asked of entities without having
+/// the right any more is given up.
+std::optional<std::string> FrontEndCore::lessBy(const ClientRef& client, const Entities::Records& records,
+                                                const users::Access& before, const users::Access& now,
+                                                std::vector<GivenUp>& given_up) const {
+    for (const auto& [entity, check_out] : client->entities.all()) {
+        const auto found = records.find(entity);
+        if (found == records.end()) continue;
+        const auto& its = found->second->registration;
+        if (client->entities.holds(entity)) {
+            if (auto why = mayNotHold(*client, its)) return why;
+            continue;
+        }
         const auto right = check_out ? EntityRight::CheckOut : EntityRight::See;
-        const auto allows = [&client, &record, right](const users::Access& access) {
-            const auto& its = record->registration;
-            return access.allows(client.user, client.me.role, right, its.entity, its.name);
+        const auto allows = [&](const users::Access& access) {
+            return access.allows(client->user, client->me.role, right, its.entity, its.name);
         };
-        if (allows(now) || !allows(before)) continue;
-        // Who waits for it would wait for ever.
-        if (held.contains(entity) || (check_out && record->status.waiting > 0))
-            return "the user '" + client.user + "' may no longer check out " + name;
-        given_up.emplace_back(client.me, entity);
+        if (!allows(now) && allows(before)) given_up.push_back({client, entity, its.name});
     }
     return std::nullopt;
+}
+
+/// It leaves the entity's queue of those who wait.
+void FrontEndCore::giveUp(const GivenUp& what) {
+    const auto& [client, entity, name] = what;
+    settlement_.tellGone(client->me, entity, Ending::Ended);
+    const auto sequence = client->entities.giveUp(entity);
+    if (!sequence) return;
+    Header head;
+    head.entity = entity;
+    head.sender = client->me;
+    head.msg_type = kMsgCheckOut;
+    head.sequence = *sequence;
+    const auto refusal = refuse(RefusalCode::PermissionDenied,
+                                "the list of " + name + " (@checkout in users.cfg) names " + client->user +
+                                    " no longer; fix: ask the administrator of the server");
+    client->data->newRefusalMsg(head, refusal);
+    log_.refused(head, refusal);
 }
 
 void FrontEndCore::usersChanged() {
@@ -494,24 +591,29 @@ void FrontEndCore::usersChanged() {
     const auto now = users_->access();
     for (auto& lane : access_) lane.store(now);
     const bool others = *before != *now;
-    std::vector<std::pair<ClientRef, std::string>> less;
-    std::vector<std::pair<Sender, std::string>> given_up;
-    std::vector<ClientRef> stay;
+    // Decided without the mutex, which heartbeats need. What comes in between is asked by the new lists: who
+    // joins, a new holder, a new name.
+    std::vector<ClientRef> clients, stay;
     Entities::Records records;
     {
         const std::lock_guard lock(mutex_);
-        for (const auto& [id, client] : clients_.byId()) {
-            auto why = lessThan(client->user, client->me.role);
-            if (!why && others && !client->user.empty()) why = lessBy(*client, *before, *now, given_up);
-            if (why)
-                less.emplace_back(client, std::move(*why));
-            else if (others && !client->user.empty())
-                stay.push_back(client);
-        }
-        records = entities_.records();
+        clients.reserve(clients_.size());
+        for (const auto& [id, client] : clients_.byId())
+            if (!client->user.empty()) clients.push_back(client);
+        if (others) records = entities_.records();
     }
-    for (const auto& [client, why] : less) leave(client, Ending::Lost, why);
-    for (const auto& [client, entity] : given_up) settlement_.tellGone(client, entity, Ending::Ended);
+    std::vector<GivenUp> given_up;
+    for (const auto& client : clients) {
+        auto why = lessThan(client->user, client->me.role);
+        if (!why && others) why = lessBy(client, records, *before, *now, given_up);
+        if (why) {
+            leave(client, Ending::Lost, *why);
+        } else if (others) {
+            stay.push_back(client);
+        }
+    }
+    for (const auto& what : given_up)
+        if (!what.client->gone) giveUp(what);
     for (const auto& client : stay) {
         auto told = records;
         std::erase_if(told,
@@ -547,20 +649,27 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
                                          std::string_view profile) {
     std::optional<Entities::News> news;
     Entities::RecordRef before;
+    Barred barred;
     {
         const std::lock_guard lock(mutex_);
         before = entities_.find(registration.entity);
         news = entities_.update(presence, std::move(registration), profile);
         if (!news) return;
-        if (news->presence == Presence::Left)
-            letGo(news->record->status.holder.id, news->record->registration.entity);
+        const auto& holder = news->record->status.holder.id;
+        if (news->presence == Presence::Left) {
+            letGo(holder, news->record->registration.entity);
+        } else if (const auto client = clients_.find(holder)) {
+            // Under its new name it may be on another list.
+            if (auto why = mayNotHold(*client, news->record->registration))
+                barred = {client, std::move(*why)};
+        }
     }
+    if (barred.client) leave(barred.client, Ending::Lost, barred.why);
     const auto& record = *news->record;
     const std::string_view bytes = news->presence == Presence::Left ? std::string_view() : *record.profile;
     const auto lists = access(Lane::Data);
     clients_.to(Lane::Data, {}, [&](const Client& client, ClientOutbox& outbox) {
         const bool now = sees(client, *lists, record.registration);
-        // Under its new name it may be on another list.
         const bool earlier =
             news->presence == Presence::Changed ? sees(client, *lists, before->registration) : now;
         if (now && earlier) return outbox.newBasicPrflMsg(news->presence, record.registration, bytes);
@@ -643,6 +752,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     std::string entity, doubted;
     Registration registration;  // as far as lists ask for it
     bool passed = false;        // to another holder, or to none
+    Barred barred;
     {
         const std::lock_guard lock(mutex_);
         const auto record_before = entities_.update(status, number, via);
@@ -663,6 +773,9 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
                 if (!asked && before != holder) doubted = client->me.name;
                 if (client->entities.setHeld(entity, true)) ++client->share->held;
                 if (holdings_.set(holder, entity, busy && asked)) updateHolding(holder);
+                // The lists may have changed after its check-out was passed on.
+                if (before != holder)
+                    if (auto why = mayNotHold(*client, registration)) barred = {client, std::move(*why)};
             } else if (before != holder && !status.orphaned &&
                        (alone() || originOf(holder).server == settings_.name)) {
                 // Granted to a client that was gone before the grant was known here, however long ago.
@@ -672,6 +785,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     }
     if (!doubted.empty()) log_.unaskedHolder(entity, doubted);
     if (passed && !alone()) log_.holder(status);  // the entity server beside the only one records it
+    if (barred.client) leave(barred.client, Ending::Lost, barred.why);
     if (late && !AXON_PLANTED(LateGrantLeft))
         settlement_.settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();

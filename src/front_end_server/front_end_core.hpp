@@ -78,7 +78,8 @@ class FrontEndCore {
     // From a client.
     /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
     /// login; `user` is empty where the login names none, and each session then counts for itself. Refused
-    /// where the users have changed since, and the user has no longer this role.
+    /// where the users have changed since, and the user has no longer this role. Beyond the sessions that a
+    /// user may have it is an observer's: it can still stop.
     Result<ClientRef> setCallback(const std::string& display_name, Role role,
                                   std::shared_ptr<ClientOutbox> data, const std::string& user = {});
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
@@ -133,6 +134,17 @@ class FrontEndCore {
     const FrontEndCoreSettings& settings() const { return settings_; }
 
   private:
+    /// A holder that has not the right, and has to go.
+    struct Barred {
+        ClientRef client;
+        std::string why;
+    };
+    /// What a client asked of an entity, and has no longer the right to.
+    struct GivenUp {
+        ClientRef client;
+        std::string entity, name;
+    };
+
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);
@@ -147,10 +159,19 @@ class FrontEndCore {
     bool sees(const Client& client, const std::string& entity, Lane lane) const;
     Result<void> mayByLists(const Client& client, Header& head, Lane lane) const;
     bool refuseUnseen(const ClientRef& client, const Header& head);
+    static Result<void> isHere(const Client& client);
+    bool refuseGone(const Client& client, const Header& head, ClientOutbox& to) const;
+    bool keptBack(const Client& client, const Header& head) const;
+    std::vector<std::string> allSeen(const Client& client) const;
     std::size_t drillAll(const Client& client, const Header& head);
-    std::optional<std::string> lessBy(const Client& client, const users::Access& before,
-                                      const users::Access& now,
-                                      std::vector<std::pair<Sender, std::string>>& given_up) const;
+    template <class Send>
+    void sendSignal(const ClientRef& client, Header head, const char* what, Send&& send);
+    bool heldByUser(const Client& client, const std::string& entity) const;
+    std::optional<std::string> mayNotHold(const Client& client, const Registration& its) const;
+    std::optional<std::string> lessBy(const ClientRef& client, const Entities::Records& records,
+                                      const users::Access& before, const users::Access& now,
+                                      std::vector<GivenUp>& given_up) const;
+    void giveUp(const GivenUp& what);
     template <class Send>
     void toThoseWhoSee(const Registration& registration, Send&& send);
     void updateHolding(const std::string& holder);

@@ -60,7 +60,8 @@ class FakeOutbox final : public ClientOutbox {
         return true;
     }
     void newEntityMsgDataSeq(const Header&, std::string_view) override { lines.emplace_back("samples"); }
-    void newRefusalMsg(const Header&, const Refusal& refusal) override {
+    void newRefusalMsg(const Header& head, const Refusal& refusal) override {
+        refused_head = head;
         lines.push_back("refused " + std::string(refusalName(refusal.code)));
     }
     void newStopAccepted(const Header&, std::int32_t entities) override {
@@ -75,7 +76,7 @@ class FakeOutbox final : public ClientOutbox {
     int heartbeats = 0;
     bool disconnected = false;
     bool slow = false;  ///< each entity has its share of what waits here
-    Header last_head;
+    Header last_head, refused_head;
     std::function<void()> while_told;
 };
 
@@ -419,7 +420,27 @@ TEST_F(FrontEndTest, AUserWhoIsRemovedIsLostAndTheRobotsStop) {
     EXPECT_FALSE(bob.data->disconnected);
     EXPECT_THAT(notes.back(),
                 HasSubstr("client tablet is lost: the user 'ann' was removed; it held 1 entity"));
-    // What it sends from now on goes nowhere.
+    // What it sends from now on goes nowhere, though its connection may still be open; only its stops do.
+    for (const auto* type : {kMsgRearm, kMsgTask, kMsgCheckOut}) {
+        auto head = to("e1");
+        head.msg_type = type;
+        core.sendToEntity(ann.client, head, "message");
+        core.sendToEntityDataSeq(ann.client, head, "message");
+    }
+    core.sendResetSignal(ann.client, to("e1"));
+    core.sendClearSignal(ann.client, to("e1"));
+    core.sendStopSignal(ann.client, to("e1"), StopCause::Drill);
+    core.sendStopSignals(ann.client, to(""), {"e1"}, StopCause::Drill);
+    EXPECT_THAT(topic.take(), IsEmpty());
+    ann.data->take();
+    Header all;
+    all.msg_type = kMsgStatus;
+    core.sendRequest(ann.client, all, {});
+    EXPECT_THAT(ann.data->take(), ElementsAre("refused NOT_CONNECTED"));
+    core.sendStopSignal(ann.client, to("e1"), StopCause::Requested);
+    core.sendStopSignals(ann.client, to(""), {"e1"}, StopCause::Requested);
+    EXPECT_THAT(topic.take(),
+                ElementsAre("stop (requested) by tablet to e1", "stop (requested) by tablet to e1"));
     EXPECT_EQ(
         core.setCallback("tablet", Role::Operator, std::make_shared<FakeOutbox>(), "ann").refusal().code,
         RefusalCode::PermissionDenied);
@@ -481,6 +502,18 @@ TEST_F(FrontEndTest, ListsKeepBackWhatTheTableOfRightsSays) {
                     EXPECT_EQ(topic.take().size(), sees ? 1U : 0U);
                     EXPECT_EQ(peer.signal->take(), sees ? std::vector<std::string>{}
                                                         : std::vector<std::string>{"refused UNKNOWN_ENTITY"});
+                    // Of every entity: it goes to those that the client sees.
+                    head.entity.clear();
+                    resets ? core.sendResetSignal(peer.client, head)
+                           : core.sendClearSignal(peer.client, head);
+                    const std::string verb = resets ? "reset to " : "clear to ";
+                    if (kept_back == 0)
+                        EXPECT_THAT(topic.take(), ElementsAre(verb));
+                    else if (sees)
+                        EXPECT_THAT(topic.take(), UnorderedElementsAre(verb + "e1", verb + "e2"));
+                    else
+                        EXPECT_THAT(topic.take(), ElementsAre(verb + "e2"));
+                    EXPECT_THAT(peer.signal->take(), IsEmpty());
                     continue;
                 }
                 if (right.who == Who::Nobody) continue;
@@ -616,6 +649,98 @@ TEST_F(FrontEndTest, WhoHoldsWhatItMayNoLongerCheckOutIsLost) {
     EXPECT_THAT(notes.back(), HasSubstr("the user 'ann' may no longer check out e1"));
 }
 
+TEST_F(FrontEndTest, WhoWaitsForWhatItMayNoLongerCheckOutIsRefusedAndStays) {
+    entity("e1");
+    entity("e2");
+    const auto ann = join("tablet", "ann");
+    const auto bob = join("laptop", "bob");
+    const auto boss = join("desk", "boss");
+    status("e1", EntityState::COLLAB, ann.id());
+    status("e1", EntityState::IDLE);  // given back: it neither holds nor waits
+    ask(bob.client, "e1");
+    ask(boss.client, "e1");
+    EntityStatus now;
+    now.entity = "e1";
+    now.state = EntityState::BUSY;
+    now.holder = {boss.id(), "desk", Role::Operator};
+    now.waiting = 1;
+    core.entityUpdate(now);
+    for (const auto* peer : {&ann, &bob, &boss}) peer->data->take();
+    topic.take();
+    users.list({{"checkout", "e1", "boss"}});
+    core.usersChanged();
+    EXPECT_EQ(core.clients(), 3U);
+    EXPECT_THAT(topic.take(), ElementsAre("ended to e1", "ended to e1"));
+    EXPECT_THAT(bob.data->take(), ElementsAre("refused PERMISSION_DENIED"));
+    EXPECT_THAT(ann.data->take(), IsEmpty()) << "it has no check-out under way";
+    EXPECT_THAT(boss.data->take(), IsEmpty());
+    core.usersChanged();
+    EXPECT_THAT(topic.take(), IsEmpty());
+}
+
+TEST_F(FrontEndTest, ARefusalOfWhoWaitsIsThatOfItsCheckOut) {
+    entity("e1");
+    const auto ann = join("tablet", "ann");
+    auto head = to("e1");
+    head.msg_type = kMsgCheckOut;
+    head.sequence = 77;
+    core.sendToEntity(ann.client, head, "check-out");
+    users.list({{"checkout", "e1", "-"}});
+    core.usersChanged();
+    EXPECT_EQ(ann.data->refused_head.sequence, 77);
+    EXPECT_EQ(ann.data->refused_head.entity, "e1");
+}
+
+// Its check-out was passed on while it had the right, and granted when it no longer had.
+TEST_F(FrontEndTest, AHolderThatLostTheRightBeforeItsGrantIsLost) {
+    entity("e1");
+    const auto ann = join("tablet", "ann");
+    ask(ann.client, "e1");
+    users.list({{"checkout", "e1", "-"}});
+    core.usersChanged();
+    topic.take();
+    EXPECT_FALSE(ann.data->disconnected);
+    tell("e1", EntityState::BUSY, ann.id());
+    EXPECT_TRUE(ann.data->disconnected);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by tablet to e1", "lost to e1"));
+    EXPECT_THAT(notes.back(), HasSubstr("the user 'ann' may no longer check out e1"));
+}
+
+TEST_F(FrontEndTest, AnEntityThatNamesAHolderWithoutTheRightWhoHasNotAskedCostsItNoSession) {
+    entity("e1");
+    users.list({{"checkout", "e1", "-"}});
+    core.usersChanged();
+    const auto ann = join("tablet", "ann");
+    tell("e1", EntityState::BUSY, ann.id());
+    users.list({{"checkout", "e1", "bob"}});
+    core.usersChanged();
+    EXPECT_FALSE(ann.data->disconnected);
+}
+
+TEST_F(FrontEndTest, AHolderThatLosesTheRightByTheEntitysNewNameIsLost) {
+    users.list({{"checkout", "arm-*", "bob"}});
+    core.usersChanged();
+    entity("e1");
+    const auto ann = join("tablet", "ann");
+    const auto bob = join("laptop", "bob");
+    const auto renamed = [&](const std::string& name) {
+        Registration registration;
+        registration.entity = "e1";
+        registration.name = name;
+        core.entityBasicPrflUpdate(Presence::Changed, registration, "profile");
+    };
+    status("e1", EntityState::BUSY, bob.id());
+    renamed("arm-1");
+    EXPECT_FALSE(bob.data->disconnected);
+    renamed("e1");
+    status("e1", EntityState::IDLE);
+    status("e1", EntityState::BUSY, ann.id());
+    topic.take();
+    renamed("arm-1");
+    EXPECT_TRUE(ann.data->disconnected);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by tablet to e1", "lost to e1"));
+}
+
 TEST_F(FrontEndTest, AnEntityIsOnTheListOfItsPresentName) {
     users.list({{"see", "secret*", "bob"}});
     core.usersChanged();
@@ -639,7 +764,7 @@ TEST_F(FrontEndTest, AnEntityIsOnTheListOfItsPresentName) {
 class LimitedUsers : public FrontEndTest {
   protected:
     LimitedUsers() {
-        FrontEndCoreSettings few;
+        few.clients_max = 40;
         few.user_sessions = 2;
         few.user_check_outs = 2;
         few.user_messages_per_second = 10;
@@ -665,21 +790,81 @@ class LimitedUsers : public FrontEndTest {
         now.holder = {holder, holder, Role::Operator};
         limited->entityUpdate(now);
     }
+    FrontEndCoreSettings few;
     std::optional<FrontEndCore> limited;
 };
 
-TEST_F(LimitedUsers, AUserHasSoManySessions) {
+TEST_F(LimitedUsers, AUserHasSoManySessionsAndOneMoreCanStillStop) {
     const auto first = enter("ann");
-    enter("ann");
+    const auto role = [](const Peer& peer) { return FrontEndCore::me(*peer.client).role; };
+    EXPECT_EQ(role(enter("ann")), Role::Operator);
+    const auto third = enter("ann");
+    EXPECT_EQ(role(third), Role::Observer);
+    EXPECT_THAT(third.data->take(),
+                ElementsAre(AllOf(HasSubstr("update the user 'ann' has 2 sessions"), HasSubstr("and stop"))));
+    limited->sendStopSignal(third.client, to("e1"), StopCause::Requested);
+    limited->sendStopSignal(third.client, to(""), StopCause::Requested);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by c to e1", "stop (requested) by c to "));
+    send(third, "e1", kMsgCheckOut);
+    EXPECT_EQ(topic.role, Role::Observer);
+    EXPECT_EQ(role(enter("bob")), Role::Operator);
+    for (int i = 0; i < 5; ++i) EXPECT_EQ(role(enter("")), Role::Operator);
+    limited->leave(first.client, Ending::Ended, "");
+    limited->leave(first.client, Ending::Lost, "");
+    EXPECT_EQ(role(third), Role::Observer) << "until it is opened again";
+    EXPECT_EQ(role(enter("ann")), Role::Operator);
+    limited->leave(third.client, Ending::Ended, "");
+    EXPECT_EQ(role(enter("ann")), Role::Observer);
+}
+
+TEST_F(LimitedUsers, SessionsWithoutEndKeepNobodyElseFromStopping) {
+    for (std::size_t i = 0; i < few.clients_max - few.clients_max / 4; ++i) enter("ann");
     const auto refused = limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "ann");
     EXPECT_EQ(refused.refusal().code, RefusalCode::Overloaded);
     EXPECT_THAT(refused.refusal().message, HasSubstr("the user 'ann' has 2 sessions"));
-    enter("bob");
-    for (int i = 0; i < 5; ++i) enter("");
-    limited->leave(first.client, Ending::Ended, "");
-    limited->leave(first.client, Ending::Lost, "");
-    enter("ann");
-    EXPECT_FALSE(limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "ann").ok());
+    for (std::size_t i = 0; i < few.clients_max / 4; ++i) enter("user" + std::to_string(i));
+    EXPECT_FALSE(limited->setCallback("c", Role::Operator, std::make_shared<FakeOutbox>(), "bob").ok());
+}
+
+TEST_F(LimitedUsers, WhatBelongsToACheckOutThatWasPassedOnIsNotRefused) {
+    for (const auto* id : {"e1", "e2", "e3", "e4"}) {
+        Registration registration;
+        registration.entity = registration.name = id;
+        limited->entityBasicPrflUpdate(Presence::Joined, registration, "profile");
+    }
+    const auto first = enter("ann"), second = enter("ann");
+    // All or none: three are prepared, and two of them say so before the third is committed or given up.
+    for (const auto* id : {"e1", "e2", "e3"}) send(first, id, kMsgCheckOut, "prepare");
+    hold("e1", first.id());
+    hold("e2", first.id());
+    topic.take();
+    send(first, "e3", kMsgCheckOut, "commit");
+    send(first, "e3", kMsgCheckOut, "abort");
+    EXPECT_THAT(topic.take(), ElementsAre("c to e3 commit", "c to e3 abort"));
+    // A session of the same user resumes what another one held, also after that one was lost.
+    send(second, "e1", kMsgCheckOut, "resume");
+    const auto lost = [&](const std::string& holder) {
+        EntityStatus now;
+        now.entity = "e4";
+        now.holder = {holder, holder, Role::Operator};
+        now.orphaned = true;
+        limited->entityUpdate(now);
+    };
+    lost("0b1c2d3e" + first.id().substr(8));
+    send(second, "e4", kMsgCheckOut, "resume");
+    EXPECT_THAT(topic.take(), ElementsAre("c to e1 resume"));
+    EXPECT_THAT(second.data->take(), Contains("refused OVERLOADED")) << "of another user";
+    auto anns = first.id();
+    anns.back() = anns.back() == '0' ? '1' : '0';
+    lost(anns);
+    send(second, "e4", kMsgCheckOut, "resume");
+    EXPECT_THAT(topic.take(), ElementsAre("c to e4 resume"));
+    // Once it has been given back it is a check-out like any other.
+    hold("e4", "");
+    hold("e3", first.id());
+    hold("e3", "");
+    send(first, "e3", kMsgCheckOut, "again");
+    EXPECT_THAT(topic.take(), IsEmpty());
 }
 
 TEST_F(LimitedUsers, AUserHoldsSoManyEntitiesInAllSessions) {

@@ -241,6 +241,10 @@ std::shared_ptr<ClientSessionServant> ClientSessions::make(
     return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who);
 }
 
+certificates::Kind EntityToFrontEndServant::callerOf(std::string_view operation) {
+    const bool published = operation == "entityBasicPrflUpdate" || operation == "entityServerEntities";
+    return published ? certificates::Kind::Storm : certificates::Kind::EntityServer;
+}
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,
                                                     Axon::CommUtil::Registration registration,
                                                     ByteRange profile, const Ice::Current&) {

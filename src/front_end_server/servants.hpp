@@ -149,9 +149,9 @@ class ClientGateServant final : public Axon::FrontEndComm::ClientGate {
 /// Listens to the entity servers on one lane (thesis figure 3.14).
 class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {
   public:
-    /// Who calls straight.
+    /// Who calls straight, and what. What comes by the topic only is for IceStorm.
     static constexpr std::array kCallers{certificates::Kind::EntityServer};
-    static certificates::Kind callerOf(std::string_view) { return certificates::Kind::EntityServer; }
+    static certificates::Kind callerOf(std::string_view operation);
 
     /// `links`: of what comes straight over TLS, where each server speaks for itself only; else null.
     EntityToFrontEndServant(FrontEndCore& core, Lane lane, Via via, transport::LinkTrust* links)

@@ -29,6 +29,11 @@ Refusal onlyClients() {
 ConsoleDesk::ConsoleDesk(LoginDesk& desk, bool has_users, console::Visitors& visitors, Note note)
     : desk_(desk), has_users_(has_users), visitors_(visitors), note_(std::move(note)) {}
 
+void ConsoleDesk::usersChanged(const users::Users& before, const users::Users& now) {
+    for (const auto& user : visitors_.users())
+        if (!now.keeps(user, before)) visitors_.forget(user);
+}
+
 void ConsoleDesk::login(const std::string& user, const std::string& password, const console::Request& request,
                         Answered answered) {
     desk_.client({user, password, request.peer, request.local},

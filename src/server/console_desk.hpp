@@ -33,6 +33,9 @@ class ConsoleDesk final : public transport::Logins, public console::LoginPort {
     ConsoleDesk(LoginDesk& desk, bool has_users, console::Visitors& visitors, Note note);
     void setSites(console::Sites sites) { sites_.emplace(std::move(sites)); }
 
+    /// The users are others now: whoever has logged in as one who is no longer the same has to log in again.
+    void usersChanged(const users::Users& before, const users::Users& now);
+
     bool needed() const override { return has_users_; }
     void login(const std::string& user, const std::string& password, const console::Request& request,
                Answered answered) override;

@@ -82,6 +82,23 @@ TEST_F(ConsoleDeskTest, AnOldTicketOpensNone) {
     EXPECT_THAT(open(ticket).refusal().message, HasSubstr("ask for a new one"));
 }
 
+TEST_F(ConsoleDeskTest, WhoIsRemovedOrHasANewPasswordHasToLogInAgain) {
+    const auto of = [](const std::string& text) { return users::Users::parse(text, "users.cfg"); };
+    const auto one = of("ann operator " + kHash + "\nbob operator " + kHash);
+    const auto anns = visitors.enter("ann"), bobs = visitors.enter("bob");
+    const auto ticket = visitors.ticket("ann");
+    desk.usersChanged(one, of("ann admin " + kHash + "\nbob operator " + kHash));
+    EXPECT_TRUE(visitors.userOf(anns)) << "another role is no other user";
+    const auto without = of("bob operator " + kHash);
+    desk.usersChanged(one, without);
+    desk.usersChanged(without, one);  // ann is added again
+    EXPECT_FALSE(visitors.userOf(anns));
+    EXPECT_FALSE(visitors.redeem(ticket));
+    EXPECT_TRUE(visitors.userOf(bobs));
+    desk.usersChanged(one, of("ann operator " + kHash + "\nbob operator " + users::hashPassword("new")));
+    EXPECT_FALSE(visitors.userOf(bobs));
+}
+
 TEST_F(ConsoleDeskTest, APasswordIsNoTicket) {
     EXPECT_FALSE(open("secret1"));
     EXPECT_FALSE(open(""));

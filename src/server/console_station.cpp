@@ -127,6 +127,10 @@ std::string ConsoleStation::signalEndpoint(const std::string& local,
     return site ? site->signal_endpoint : std::string();
 }
 
+void ConsoleStation::usersChanged(const users::Users& before, const users::Users& now) {
+    parts_->desk.usersChanged(before, now);
+}
+
 void ConsoleStation::serve(const transport::DoorPorts& sessions) {
     auto& its = *parts_;
     const auto endpoint = transport::parseEndpoint(its.settings.endpoint);

@@ -37,6 +37,8 @@ class ConsoleStation {
     /// Where a peer finds the signal lane of the session that it opened at the address `local` from a page of
     /// this `origin`; none where it is no browser. After serve().
     std::string signalEndpoint(const std::string& local, const std::optional<std::string>& origin) const;
+    /// Visits of those who are no longer the same users end.
+    void usersChanged(const users::Users& before, const users::Users& now);
     /// From now on it answers.
     void serve(const transport::DoorPorts& sessions);
     /// "http://127.0.0.1:10417/", of an address that this machine reaches.

@@ -363,11 +363,7 @@ std::shared_ptr<const users::Users> LoginDesk::usersNow() const {
 
 void LoginDesk::setUsers(std::shared_ptr<const users::Users> users) {
     const std::lock_guard lock(mutex_);
-    std::erase_if(known_, [&](const auto& known) {
-        const auto* before = users_->find(known.first);
-        const auto* now = users->find(known.first);
-        return before == nullptr || now == nullptr || before->hash != now->hash;
-    });
+    std::erase_if(known_, [&](const auto& known) { return !users->keeps(known.first, *users_); });
     users_.swap(users);
 }
 

@@ -188,7 +188,9 @@ void addUser(const std::string& file, const std::string& name, const std::string
     if (!its_role)
         throw std::runtime_error("--user-role '" + role + "': expected observer, operator, admin or entity");
     users::writeUser(file, name, *its_role, users::readNewPassword());
-    std::fprintf(stderr, "%s: '%s' may log in as %s; servers that run take that over within 3 s\n",
+    std::fprintf(stderr,
+                 "%s: '%s' may log in as %s; servers that run say in their logs when they have taken that "
+                 "over (users: taken)\n",
                  file.c_str(), name.c_str(), users::toString(*its_role));
 }
 

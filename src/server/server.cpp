@@ -7,8 +7,8 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <map>
 #include <optional>
-#include <regex>
 #include <stdexcept>
 #include <utility>
 
@@ -155,26 +155,94 @@ void checkOwnCertificate(const ServerSettings& settings) {
             file + ") " + wrong + "; fix: " + issueOwn(settings) + ", and use its configuration file");
 }
 
-/// Where IceStorm is, which is believed whatever it says. `text` is its stringified proxy.
-void checkTopicManager(const std::string& text, bool tls) {
-    static const std::regex kHost(R"(:\s*(\w+)\b[^:]*?-h\s+(\S+))");
-    for (auto at = std::sregex_iterator(text.begin(), text.end(), kHost); at != std::sregex_iterator();
-         ++at) {
-        const auto host = (*at)[2].str();
-        const bool its_tls = (*at)[1] == "ssl" || (*at)[1] == "wss";
-        if (its_tls != tls)
-            throw std::runtime_error(
-                "Server.TopicManager: '" + text + "': expected " + (tls ? "ssl" : "tcp") +
-                " as at the ports for the other servers (FrontEndServerTopic.Endpoints, "
-                "EntityServerTopic.Endpoints …), because IceStorm calls those; fix: use TLS for all of them, "
-                "or for none");
-        if (!tls && host != "localhost" && !isLoopback(host))
-            throw std::runtime_error(
-                "Server.TopicManager: '" + text +
-                "': IceStorm is believed whatever it says, and without TLS anybody in the network could "
-                "speak in its place; fix: run it on this machine (-h 127.0.0.1), or use TLS for all links "
-                "between servers (docs/reference/server_configuration.md#links-between-servers-over-tls)");
+/// The endpoints of a proxy, as Ice reads it with these properties.
+std::vector<transport::Endpoint> calledBy(const std::string& key, const std::string& text,
+                                          const std::map<std::string, std::string>& properties) {
+    Ice::InitializationData init;
+    init.properties = Ice::createProperties();
+    for (const auto& [name, value] : properties)
+        if (name.rfind("Ice.Default.", 0) == 0) init.properties->setProperty(name, value);
+    init.properties->setProperty("Ice.Plugin.IceSSL", "IceSSL:createIceSSL");  // it reads ssl
+    std::vector<transport::Endpoint> all;
+    bool known = true;
+    try {
+        const Ice::CommunicatorHolder reader(init);
+        const auto proxy = reader->stringToProxy(text);
+        for (const auto& endpoint : proxy ? proxy->ice_getEndpoints() : Ice::EndpointSeq()) {
+            const auto outer = endpoint->getInfo();
+            std::shared_ptr<Ice::IPEndpointInfo> ip;
+            for (auto info = outer; info && !ip; info = info->underlying)
+                ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(info);
+            known = known && ip;
+            if (ip) all.push_back({ip->host, static_cast<std::uint16_t>(ip->port), outer->secure()});
+        }
+    } catch (const Ice::Exception&) {
+        all.clear();
     }
+    if (all.empty() || !known)
+        throw std::runtime_error(
+            key + ": '" + text +
+            "' is not a proxy with an address; expected endpoints of tcp or ssl, such as "
+            "ssl -h HOST -p PORT");
+    return all;
+}
+
+/// Whom this server calls by configuration. Over TLS it has to show who it is.
+void checkCalled(const std::string& key, const std::string& text, const ServerSettings& settings, bool tls) {
+    const bool storm = key == "Server.TopicManager";
+    for (const auto& one : calledBy(key, text, settings.ice_properties)) {
+        // IceStorm calls the ports for the other servers, which are all under TLS, or none.
+        if (one.tls != tls && (tls || storm))
+            throw std::runtime_error(key + ": '" + text + "': expected " + (tls ? "ssl" : "tcp") +
+                                     " as at the ports for the other servers (FrontEndServerTopic.Endpoints, "
+                                     "EntityServerTopic.Endpoints …)" +
+                                     (storm ? ", because IceStorm calls those" : "") +
+                                     "; fix: use TLS for all of them, or for none");
+        const bool here = one.host.empty() || one.host == "localhost" || isLoopback(one.host);
+        if (!one.tls && !here)
+            throw std::runtime_error(
+                key + ": '" + text + "': " + (storm ? "IceStorm" : "this server") +
+                " is believed whatever it says, and without TLS anybody in the network could speak in its "
+                "place; fix: run it on this machine (-h 127.0.0.1), or use TLS for all links between servers "
+                "(docs/reference/server_configuration.md#links-between-servers-over-tls)");
+    }
+}
+
+void checkPeers(const ServerSettings& settings, bool tls) {
+    if (!settings.topic_manager.empty())
+        checkCalled("Server.TopicManager", settings.topic_manager, settings, tls);
+    for (const auto& [name, proxy] : settings.neighbours)
+        checkCalled("Server.Peer." + name, proxy, settings, tls);
+}
+
+/// Where the others are told to call: as where it listens, or they would call without TLS.
+void checkPublished(const ServerSettings& settings, bool tls) {
+    const std::string kind = settings.role == ServerRole::Entity ? "EntityServer" : "FrontEndServer";
+    for (const auto* lane : {"Topic", "TopicSignal"}) {
+        const auto key = kind + lane + ".PublishedEndpoints";
+        const auto found = settings.ice_properties.find(key);
+        if (found == settings.ice_properties.end() || found->second.empty()) continue;
+        for (const auto& one : parsed(found->second))
+            if (one.tls != tls)
+                throw std::runtime_error(
+                    key + ": '" + found->second + "': expected " + (tls ? "ssl" : "tcp") +
+                    ", as where this server listens for the others (" + kind + lane +
+                    ".Endpoints); fix: begin each endpoint with " + (tls ? "ssl" : "tcp"));
+    }
+}
+
+/// Routers on this machine may come without TLS, if they run as the server's user.
+void checkRouters(const ServerSettings& settings) {
+    const auto& endpoints = settings.role == ServerRole::Entity ? settings.entity_router_endpoint
+                                                                : settings.client_router_endpoint;
+    if (endpoints.empty()) return;
+    for (const auto& one : parsed(endpoints))
+        if (!one.tls && one.host != "localhost" && !isLoopback(one.host))
+            throw std::runtime_error(
+                "'" + one.address() +
+                "' is for routers, and the links between servers are under TLS: without TLS, expected an "
+                "address that only this machine can reach; fix: use one such as 127.0.0.1:10424, or "
+                "ssl://HOST:PORT");
 }
 
 /// What comes from another server is believed without a password. So who it is must be known: by TLS, or
@@ -204,19 +272,23 @@ void checkBetweenServers(const ServerSettings& settings) {
             }
         }
     }
-    if (!settings.topic_manager.empty()) checkTopicManager(settings.topic_manager, tls);
-    if (!tls) return;
+    checkPublished(settings, tls);
+    if (!tls) return checkPeers(settings, tls);
+    checkRouters(settings);
     if (!transport::speaksTls(settings.ice_properties))
         throw std::runtime_error(
             "'" + settings.topic_endpoint +
             "' is a TLS endpoint, but no certificate is configured (IceSSL.CertFile); fix: " +
             issueOwn(settings) + ", which writes a configuration file for --config");
     const auto verifies = settings.ice_properties.find("IceSSL.VerifyPeer");
-    if (verifies != settings.ice_properties.end() && verifies->second == "0")
+    if (verifies != settings.ice_properties.end() && !verifies->second.empty() && verifies->second != "1" &&
+        verifies->second != "2")
         throw std::runtime_error(
-            "IceSSL.VerifyPeer=0: then nobody's certificate is verified, and the links between servers are "
-            "under TLS; fix: expected 2, or 1 if clients may log in without a certificate");
+            "IceSSL.VerifyPeer=" + verifies->second +
+            ": the links between servers are under TLS, and nobody may go unverified; expected 2, or 1 if "
+            "clients may log in without a certificate");
     checkOwnCertificate(settings);
+    checkPeers(settings, tls);
 }
 
 std::string hostOf(const transport::Endpoint& endpoint) {
@@ -433,13 +505,13 @@ std::unique_ptr<audit::Trail> trailOf(const ServerSettings& settings) {
                                           [](const std::string& line) { spdlog::warn("{}", line); });
 }
 
-}  // namespace
-
-namespace {
-
 std::unique_ptr<transport::LinkTrust> trustOf(const ServerSettings& settings, const Clock& clock,
                                               audit::AuditTrail* trail) {
-    if (!linksAreTls(settings)) return nullptr;
+    const bool tls = linksAreTls(settings);
+    if (settings.role != ServerRole::Both)
+        note(tls ? "the links to the other servers are under TLS"
+                 : "the links to the other servers are without TLS, on this machine only");
+    if (!tls) return nullptr;
     return std::make_unique<transport::LinkTrust>(
         clock, [](const std::string& line) { spdlog::warn("{}", line); }, trail);
 }
@@ -529,7 +601,9 @@ class Server::Parts {
 
     /// First who may come in, then who may stay: whoever comes in between is asked again by the cores.
     void take(std::shared_ptr<const users::Users> users) {
-        logins.setUsers(std::move(users));
+        const auto before = std::exchange(users_here, users);
+        logins.setUsers(users);
+        if (console) console->usersChanged(*before, *users);
         if (front_end) front_end->core().usersChanged();
         if (entity) entity->core().usersChanged();
     }
@@ -640,7 +714,8 @@ class Server::Parts {
     transport::ConnectionLimits limits{steady, [this](const std::string& line) { noteClosed(line); }};
     std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;
-    const std::shared_ptr<const users::Users> first_users;  // null: there are none
+    const std::shared_ptr<const users::Users> first_users;        // null: there are none
+    std::shared_ptr<const users::Users> users_here{first_users};  // confined to axon-files
     LoginDesk logins;
     const std::unique_ptr<transport::LinkTrust> links;  // null but where those to other servers are under TLS
     Ice::CommunicatorHolder data;

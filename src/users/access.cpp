@@ -74,8 +74,10 @@ bool Access::has(const std::string& user, Role role, EntityRight right, std::str
         return one.right == right && (fits(one.entity, name) || fits(one.entity, uuid));
     });
     if (rule == rules_.end()) return true;
+    const std::string_view its_role = toString(role);
     return std::any_of(rule->who.begin(), rule->who.end(), [&](const std::string& who) {
-        return who == "*" || who == user || (who.front() == '@' && who.substr(1) == toString(role));
+        return who == "*" || who == user ||
+               (who.front() == '@' && std::string_view(who).substr(1) == its_role);
     });
 }
 

@@ -10,6 +10,7 @@
 #include <cctype>
 #include <cerrno>
 #include <charconv>
+#include <cstdint>
 #include <memory>
 #include <new>
 #include <optional>
@@ -62,12 +63,30 @@ bool isArgon2(const std::string& hash) {
            crypto_pwhash_str_needs_rehash(hash.c_str(), kPasses, kMemoryBytes) >= 0;
 }
 
+/// What a hash of crypt(5) costs is in it, and the library carries out any of it.
+bool isCheap(std::string_view hash) {
+    constexpr CryptBounds kBounds;
+    if (hash.starts_with("$6$")) {
+        hash.remove_prefix(3);
+        const auto rounds = take(hash, "rounds=");
+        return rounds ? *rounds <= kBounds.rounds_max : !hash.starts_with("rounds=");
+    }
+    // "$y$j", then log2 of N and r, one digit each: more of either, or other parameters, cost more.
+    if (!hash.starts_with("$y$j") || hash.size() < 7 || hash[6] != '$') return false;
+    constexpr std::string_view kDigits = "./0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz";
+    const auto n = kDigits.find(hash[4]) + 1;
+    const auto r = kDigits.find(hash[5]) + 1;
+    return n >= 1 && n <= 24 && r >= 1 &&
+           (std::uint64_t{128} * r << n) <= std::uint64_t{kBounds.memory_kib_max} * 1024;
+}
+
 bool isCrypt(const std::string& hash) {
     const auto plain = [](unsigned char c) {
         return std::isalnum(c) != 0 || c == '.' || c == '/' || c == '$' || c == '=' || c == ',' || c == '-';
     };
     if (hash.size() > kHashMax || !std::all_of(hash.begin(), hash.end(), plain)) return false;
-    return hash.size() - hash.rfind('$') > kDigestMin && crypt_checksalt(hash.c_str()) == CRYPT_SALT_OK;
+    return hash.size() - hash.rfind('$') > kDigestMin && isCheap(hash) &&
+           crypt_checksalt(hash.c_str()) == CRYPT_SALT_OK;
 }
 
 /// In a time that does not depend on where they differ.

@@ -21,7 +21,13 @@ struct Argon2Bounds {
     unsigned lanes_max = 16;
 };
 
-/// Argon2id within its bounds, or one of crypt(5) that is not of an older kind: yescrypt, SHA-512.
+/// The same for crypt(5): the most rounds of SHA-512, a quarter of a second, and the most memory of yescrypt.
+struct CryptBounds {
+    unsigned rounds_max = 1'000'000;
+    unsigned memory_kib_max = 256 * 1024;
+};
+
+/// Argon2id or one of crypt(5) that is not of an older kind, yescrypt or SHA-512, within its bounds.
 bool isHash(const std::string& hash);
 /// "argon2id", "yescrypt", "sha512" or "crypt", of what isHash().
 const char* kindOf(const std::string& hash);

@@ -65,6 +65,25 @@ TEST(Passwords, AHashThatAsksForTooMuchOrTooLittleIsNone) {
         EXPECT_FALSE(with(costs)) << costs;
 }
 
+TEST(Passwords, AHashOfCryptThatAsksForTooMuchIsNone) {
+    const auto sha = [](const std::string& rounds) { return isHash("$6$" + rounds + kSha512.substr(3)); };
+    EXPECT_TRUE(sha("rounds=5000$"));
+    EXPECT_TRUE(sha("rounds=1000000$"));
+    for (const auto* rounds : {"rounds=1000001$", "rounds=999999999$", "rounds=99999999999$"})
+        EXPECT_FALSE(sha(rounds)) << rounds;
+    const auto yescrypt = [](const std::string& costs) {
+        return isHash("$y$" + costs + kYescrypt.substr(6));
+    };
+    EXPECT_TRUE(yescrypt("j9T"));
+    EXPECT_TRUE(yescrypt("jDT"));  // 256 MiB, mkpasswd -R 9
+    for (const auto* costs : {"jET", "jFT", "jzT", "jDU", "j9..", "jz", ""})
+        EXPECT_FALSE(yescrypt(costs)) << costs;
+    const auto digest = std::string(43, 'a');
+    // Valid, but of a kind whose cost is not looked at.
+    EXPECT_FALSE(isHash("$2b$31$" + std::string(22, 'a') + digest.substr(0, 31)));
+    EXPECT_FALSE(isHash("$7$CU..../....saltsalt$" + digest));
+}
+
 TEST(Passwords, ABrokenHashIsNone) {
     const auto good = hashPassword("secret1");
     for (std::size_t length = 0; length < good.size() - 1; ++length)

@@ -62,9 +62,7 @@ Users Users::parse(std::string_view text, const std::string& file) {
     int number = 0;
     while (!text.empty()) {
         ++number;
-        const auto end = text.find('\n');
-        const auto line = contentOf(text.substr(0, end));
-        text = end == std::string_view::npos ? std::string_view() : text.substr(end + 1);
+        const auto line = contentOf(takeLine(text));
         const auto refuse = [&](const std::string& expected) {
             throw std::runtime_error(file + ":" + std::to_string(number) + ": " + expected +
                                      "; fix: " + kHowTo);
@@ -92,6 +90,7 @@ Users Users::parse(std::string_view text, const std::string& file) {
                 "other costs than the server accepts");
         if (users.find(fields[0]) != nullptr)
             refuse("expected one line per user, but " + shown(fields[0]) + " has one already");
+        users.by_name_.emplace(fields[0], users.users_.size());
         users.users_.push_back({std::string(fields[0]), *role, std::move(hash)});
     }
     return users;
@@ -117,9 +116,14 @@ Users Users::read(const std::string& file, MayBeEmpty may_be_empty) {
 }
 
 const Users::User* Users::find(std::string_view name) const {
-    const auto found =
-        std::find_if(users_.begin(), users_.end(), [&](const User& user) { return user.name == name; });
-    return found == users_.end() ? nullptr : &*found;
+    const auto found = by_name_.find(name);
+    return found == by_name_.end() ? nullptr : &users_[found->second];
+}
+
+bool Users::keeps(const std::string& name, const Users& before) const {
+    const auto* then = before.find(name);
+    const auto* now = find(name);
+    return then != nullptr && now != nullptr && then->hash == now->hash;
 }
 
 std::optional<UserRole> Users::verify(const std::string& name, const std::string& password) const {

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <cstddef>
+#include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -52,6 +54,9 @@ class Users {
     /// Null where there is none of this name.
     const User* find(std::string_view name) const;
     const std::vector<User>& all() const { return users_; }
+    /// Whether who has proved to be this user to `before` still has: a user who was removed and added again
+    /// is another one, and so is one with a new password.
+    bool keeps(const std::string& name, const Users& before) const;
     /// What the lines that begin with '@' say.
     const Access& access() const { return access_; }
     std::size_t size() const { return users_.size(); }
@@ -60,6 +65,7 @@ class Users {
 
   private:
     std::vector<User> users_;
+    std::map<std::string, std::size_t, std::less<>> by_name_;  // in users_
     Access access_;
 };
 

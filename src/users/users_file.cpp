@@ -53,7 +53,7 @@ class NextFile {
   public:
     NextFile(std::string path, const struct stat* before) : path_(std::move(path)) {
         const mode_t mode = before != nullptr ? before->st_mode & 0640U : 0600U;
-        ::unlink(path_.c_str());  // of a change that was killed: the folder is locked
+        ::unlink(path_.c_str());  // of a change that was killed: the lock is held
         fd_ = Descriptor(::open(path_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600));
         if (!fd_.open()) fail(path_, "cannot be written");
         // The server may read it as another user or through its group.
@@ -94,6 +94,28 @@ std::string followed(const std::string& file) {
     return failure ? file : its.string();
 }
 
+/// Not the file, which is replaced, nor its folder: whoever can open what is locked can keep it locked.
+Descriptor locked(const std::string& file, int folder) {
+    const auto path = file + ".lock";
+    Descriptor lock(::open(path.c_str(), O_RDWR | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0600));
+    if (!lock.open()) fail(path, "expected a file that can be opened for locking");
+    struct stat facts {};
+    if (::fstat(lock.get(), &facts) != 0) fail(path, "cannot be read");
+    if (!S_ISREG(facts.st_mode)) throw std::runtime_error(path + ": expected a regular file");
+    if ((facts.st_mode & 07777U) != 0600U && ::fchmod(lock.get(), 0600) != 0)
+        fail(path, "cannot be closed to others");
+    // Whoever may change the folder may change the users, also after root has.
+    struct stat its_folder {};
+    if (facts.st_uid == ::geteuid() && ::fstat(folder, &its_folder) == 0 && its_folder.st_uid != facts.st_uid)
+        [[maybe_unused]]
+        const auto given = ::fchown(lock.get(), its_folder.st_uid, its_folder.st_gid);
+    if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
+        if (errno != EWOULDBLOCK) fail(path, "cannot be locked");
+        throw std::runtime_error(file + " is being changed by somebody else; fix: try again");
+    }
+    return lock;
+}
+
 using Change = std::function<std::string(const std::string& text, const Users& users)>;
 
 void change(const std::string& named, bool may_be_new, const Change& make) {
@@ -102,11 +124,7 @@ void change(const std::string& named, bool may_be_new, const Change& make) {
     if (folder.empty()) folder = ".";
     const Descriptor its_folder(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
     if (!its_folder.open()) fail(folder, "expected the folder of the file of users");
-    // Not the file, which is replaced.
-    if (::flock(its_folder.get(), LOCK_EX | LOCK_NB) != 0) {
-        if (errno != EWOULDBLOCK) fail(folder, "cannot be locked");
-        throw std::runtime_error(file + " is being changed by somebody else; fix: try again");
-    }
+    const auto lock = locked(file, its_folder.get());
     std::string text = kFirstLine;
     struct stat facts {};
     bool exists = false;
@@ -131,6 +149,13 @@ void requireName(const std::string& name) {
     if (!isUserName(name))
         throw std::runtime_error(shown(name) +
                                  ": expected a name of at most 64 letters, digits, '.', '-' and '_'");
+}
+
+void requireNew(const Users& users, const std::string& name, const std::string& file) {
+    if (users.find(name) != nullptr)
+        throw std::runtime_error(file + " has a user '" + name +
+                                 "' already; fix: change the role with axon users role, or the password "
+                                 "with axon users password");
 }
 
 const Users::User& require(const Users& users, const std::string& name, const std::string& file) {
@@ -203,13 +228,23 @@ std::string withoutUser(std::string_view text, std::string_view name) {
     return out;
 }
 
+void mayAdd(const std::string& file, const std::string& name) {
+    requireName(name);
+    // Where nobody can tell whether there is a file, reading it says why.
+    std::error_code failure;
+    if (!std::filesystem::exists(file, failure) && !failure) return;
+    requireNew(Users::read(file, MayBeEmpty::Yes), name, file);
+}
+
+void mayChange(const std::string& file, const std::string& name) {
+    requireName(name);
+    require(Users::read(file, MayBeEmpty::Yes), name, file);
+}
+
 void addUser(const std::string& file, const std::string& name, UserRole role, const std::string& password) {
     requireName(name);
     change(file, true, [&](const std::string& text, const Users& users) {
-        if (users.find(name) != nullptr)
-            throw std::runtime_error(file + " has a user '" + name +
-                                     "' already; fix: change its role with axon users role, or its password "
-                                     "with axon users password");
+        requireNew(users, name, file);
         return withUser(text, name, role, hashPassword(password));
     });
 }

@@ -25,6 +25,10 @@ void setPassword(const std::string& file, const std::string& name, const std::st
 /// Refuses to remove the last one: no server reads a file without users.
 void removeUser(const std::string& file, const std::string& name);
 
+/// What addUser() and setPassword() refuse, so that nobody types a password in vain.
+void mayAdd(const std::string& file, const std::string& name);
+void mayChange(const std::string& file, const std::string& name);
+
 /// From the terminal without echo, asked twice; or, where standard input is no terminal, its first line.
 /// Ctrl-C at the terminal throws, and the terminal is as it was.
 std::string readNewPassword();

@@ -136,12 +136,41 @@ TEST_F(UsersOnDisk, RefusesWhatWouldNotBeMeantAndLeavesTheFileAsItIs) {
 
 TEST_F(UsersOnDisk, OfTwoChangesAtOnceTheLaterIsRefused) {
     addUser(file, "boss", UserRole::Admin, "two");
-    const Descriptor other(::open(folder.c_str(), O_RDONLY | O_DIRECTORY));
+    const auto lock = file + ".lock";
+    const Descriptor other(::open(lock.c_str(), O_RDWR));
     ASSERT_EQ(::flock(other.get(), LOCK_EX), 0);
     EXPECT_THROW(addUser(file, "client1", UserRole::Operator, "one"), std::runtime_error);
     ::flock(other.get(), LOCK_UN);
     addUser(file, "client1", UserRole::Operator, "one");
     EXPECT_EQ(Users::read(file).size(), 2U);
+}
+
+// Everybody may open the folder, and keep it locked.
+TEST_F(UsersOnDisk, WhoLocksTheFolderKeepsNobodyFromRemovingAUser) {
+    addUser(file, "boss", UserRole::Admin, "two");
+    addUser(file, "client1", UserRole::Operator, "one");
+    const Descriptor other(::open(folder.c_str(), O_RDONLY | O_DIRECTORY));
+    ASSERT_EQ(::flock(other.get(), LOCK_EX), 0);
+    removeUser(file, "client1");
+    EXPECT_EQ(Users::read(file).size(), 1U);
+    struct stat facts {};
+    ASSERT_EQ(::stat((file + ".lock").c_str(), &facts), 0);
+    EXPECT_EQ(facts.st_mode & 07777U, 0600U);
+}
+
+TEST_F(UsersOnDisk, ALockThatIsALinkOrOpenToOthersIsNotTaken) {
+    addUser(file, "boss", UserRole::Admin, "two");
+    const auto lock = file + ".lock";
+    ::chmod(lock.c_str(), 0666);
+    setRole(file, "boss", UserRole::Operator);
+    struct stat facts {};
+    ::stat(lock.c_str(), &facts);
+    EXPECT_EQ(facts.st_mode & 07777U, 0600U);
+    std::filesystem::remove(lock);
+    std::ofstream(folder + "/other") << "text";
+    std::filesystem::create_symlink(folder + "/other", lock);
+    EXPECT_THROW(setRole(file, "boss", UserRole::Admin), std::runtime_error);
+    EXPECT_EQ(Users::read(file).roleOf("boss"), UserRole::Operator);
 }
 
 TEST_F(UsersOnDisk, ALinkToTheFileStaysALink) {

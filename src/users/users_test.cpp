@@ -87,6 +87,29 @@ TEST(UsersFile, TheFingerprintIsThatOfWhatTheFileSaysAndNotOfHowItIsWritten) {
     EXPECT_NE(of("client1 operator " + hashPassword("secret1") + "\nboss admin " + kHash), one);
 }
 
+TEST(UsersFile, WhoHasProvedToBeAUserStaysThatUserUntilThePasswordIsAnother) {
+    const auto before = Users::parse("ann operator " + kHash + "\nbob operator " + kHash, "f");
+    const auto after = Users::parse(
+        "ann admin " + kHash + "\nbob operator " + hashPassword("x") + "\ncarl observer " + kHash, "f");
+    EXPECT_TRUE(after.keeps("ann", before));
+    EXPECT_FALSE(after.keeps("bob", before));
+    EXPECT_FALSE(after.keeps("carl", before));
+    EXPECT_FALSE(before.keeps("carl", after));
+    EXPECT_FALSE(after.keeps("nobody", before));
+}
+
+// Cores ask for each client under the lock that heartbeats need.
+TEST(UsersFile, AUserOfManyIsFoundWithoutLookingAtAll) {
+    std::string text;
+    for (int i = 0; i < 5000; ++i) text += "user" + std::to_string(i) + " operator " + kHash + "\n";
+    const auto users = Users::parse(text, "f");
+    EXPECT_EQ(users.size(), 5000U);
+    for (const auto* name : {"user0", "user4999", "user77"}) EXPECT_EQ(users.find(name)->name, name);
+    EXPECT_EQ(users.find("user5000"), nullptr);
+    const auto copy = users;
+    EXPECT_EQ(copy.find("user77"), &copy.all()[77]);
+}
+
 TEST(UsersFile, TakesAnyBytesWithoutHarm) {
     for (const auto& text : {std::string("\0\0\0", 3), std::string("\xff\xfe\n\x01 admin x"),
                              std::string(100'000, '\n'), std::string(100'000, ' '), std::string(100'000, 'a'),

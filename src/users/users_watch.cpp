@@ -29,11 +29,12 @@ std::string summaryOf(const Users& users, const std::string& file) {
 }
 
 UsersWatch::UsersWatch(std::string file, std::shared_ptr<const Users> first, const Clock& clock, Note note,
-                       Taken taken)
+                       Taken taken, Read read)
     : file_(std::move(file)),
       clock_(clock),
       note_(std::move(note)),
       taken_(std::move(taken)),
+      read_file_(std::move(read)),
       users_(std::move(first)),
       next_(clock.now() + kPeriod) {}
 
@@ -59,9 +60,15 @@ void UsersWatch::look() {
     }
     if (std::exchange(read_, true)) return;
     try {
-        auto users = std::make_shared<const Users>(Users::read(file_));
+        auto users = std::make_shared<const Users>(read_file_(file_));
+        // What was written while it was read may be in it, or half of it.
+        if (FileMark::of(file_.c_str()) != mark_) {
+            mark_.reset();
+            read_ = false;
+            return;
+        }
         say({});
-        const bool same = users->fingerprint() == users_->fingerprint();
+        const bool same = users->all() == users_->all() && users->access() == users_->access();
         users_ = users;
         if (same) return;
         note_("users: taken: " + summaryOf(*users, file_));

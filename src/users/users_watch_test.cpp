@@ -86,6 +86,28 @@ TEST_F(UsersWatchTest, AFileThatIsBeingWrittenIsNotRead) {
     EXPECT_EQ(taken[0]->size(), 7U);
 }
 
+TEST_F(UsersWatchTest, AFileThatIsWrittenWhileItIsReadIsReadAgain) {
+    int readings = 0;
+    UsersWatch other(
+        file, std::make_shared<const Users>(Users::read(file)), clock,
+        [this](const std::string& line) { notes.push_back(line); },
+        [this](std::shared_ptr<const Users> users) { taken.push_back(std::move(users)); },
+        [&](const std::string& its) {
+            auto users = Users::read(its);
+            // Its writer goes on, after a pause as long as the one between two looks.
+            if (++readings == 1) write("boss admin " + kHash + "\nclient1 operator " + kHash + "\n# whole\n");
+            return users;
+        });
+    const auto lookThere = [&] {
+        clock.advance(UsersWatch::kPeriod);
+        other.onTimer();
+    };
+    write("boss admin " + kHash + "\n");
+    for (int i = 0; i < 5; ++i) lookThere();
+    EXPECT_EQ(readings, 2);
+    EXPECT_THAT(taken, IsEmpty()) << "client1 was missing only in the half";
+}
+
 TEST_F(UsersWatchTest, AFileWithAnErrorChangesNothingAndIsSaidOnce) {
     write("boss admin " + kHash + "\nclient1 king " + kHash + "\n");
     for (int i = 0; i < 4; ++i) look();

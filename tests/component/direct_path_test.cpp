@@ -355,8 +355,8 @@ TEST_P(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSil
 }
 
 // While the application's lock is held, so is the Entity Manager's only thread. On a machine that is short of
-// processors the path's watchdog may rightly end the path meanwhile; that says nothing of what is held back, so
-// it is tried again. Nothing is lost either way.
+// processors the path's watchdog may rightly end the path meanwhile; that says nothing of what is held back,
+// so it is tried again. Nothing is lost either way.
 TEST_P(DirectPathTest, WhoSendsFasterThanIsHandledIsHeldBackAndLosesNothing) {
     startManager();
     const auto held = take();

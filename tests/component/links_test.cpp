@@ -12,8 +12,11 @@
 #include <filesystem>
 #include <fstream>
 #include <functional>
+#include <iomanip>
 #include <iterator>
 #include <memory>
+#include <set>
+#include <sstream>
 
 #include "certificates/folder.hpp"
 #include "component/any_ports.hpp"
@@ -111,6 +114,22 @@ class Links : public testing::Test {
         storm = std::make_unique<LoggedProgram>(
             std::vector<std::string>{"icebox", "--Ice.Config=" + (folder / "icebox.cfg").string()},
             folder / "icebox.log");
+        EXPECT_TRUE(waitUntil([] { return listens(10430); }, 10s)) << storm->text();
+    }
+    static int connectedTo(int port) {
+        const int its = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+        sockaddr_in at{};
+        at.sin_family = AF_INET;
+        at.sin_port = htons(static_cast<std::uint16_t>(port));
+        inet_pton(AF_INET, loopbackAddress().c_str(), &at.sin_addr);
+        if (::connect(its, reinterpret_cast<const sockaddr*>(&at), sizeof at) == 0) return its;
+        ::close(its);
+        return -1;
+    }
+    static bool listens(int port) {
+        const int its = connectedTo(port);
+        if (its >= 0) ::close(its);
+        return its >= 0;
     }
     void startStorm() { startStorm(file(ours, Kind::Storm, loopbackAddress())); }
     void startServers() {
@@ -173,18 +192,38 @@ class Links : public testing::Test {
         }
     }
 
-    /// Each time, and counted, and the log says why; it has ten lines in a second at most.
+    /// Each time, and counted once, and the log says why; it has ten lines in a second at most.
     static bool isRefused(const server::Server& by, const std::function<bool()>& comes_in,
                           const std::string& why) {
         kLog->clear();
         const auto before = refused(by);
+        int tries = 0;
         return waitUntil(
                    [&] {
                        EXPECT_FALSE(comes_in());
+                       ++tries;
                        return waitUntil([&] { return kLog->has(why); }, 200ms);
                    },
                    5s) &&
-               waitUntil([&] { return refused(by) > before; }, 1s);
+               waitUntil([&] { return refused(by) == before + tries; }, 1s);
+    }
+    /// The own ends of the connections that this process has opened to this port, and that stand.
+    static std::set<std::string> openTo(int port) {
+        in_addr address{};
+        inet_pton(AF_INET, loopbackAddress().c_str(), &address);
+        std::ostringstream wanted;
+        wanted << std::hex << std::uppercase << std::setfill('0') << std::setw(8) << address.s_addr << ':'
+               << std::setw(4) << port;
+        std::set<std::string> ends;
+        std::ifstream table("/proc/self/net/tcp");
+        std::string line;
+        while (std::getline(table, line)) {
+            std::istringstream words(line);
+            std::string number, local, remote, state;
+            words >> number >> local >> remote >> state;
+            if (remote == wanted.str() && state == "01") ends.insert(local);
+        }
+        return ends;
     }
 
     const fs::path folder = newFolder();
@@ -310,12 +349,8 @@ TEST_F(Links, WhoeverSpeaksNoTlsIsRefused) {
     ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
     const auto before = refused(*fe1);
     for (const int port : {kFrontEnd, kFrontEndSignal}) {
-        const int plain = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-        sockaddr_in at{};
-        at.sin_family = AF_INET;
-        at.sin_port = htons(static_cast<std::uint16_t>(port));
-        inet_pton(AF_INET, loopbackAddress().c_str(), &at.sin_addr);
-        ASSERT_EQ(::connect(plain, reinterpret_cast<const sockaddr*>(&at), sizeof at), 0);
+        const int plain = connectedTo(port);
+        ASSERT_GE(plain, 0);
         // The head of a request of Ice.
         const std::string request("IceP\x01\x00\x01\x00\x00\x00\x20\x00\x00\x00", 14);
         ASSERT_GT(::send(plain, request.data(), request.size(), MSG_NOSIGNAL), 0);
@@ -339,9 +374,10 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
     ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
     const auto straight = [](auto type, const Ice::CommunicatorHolder& its, const std::string& to) {
         using Prx = typename decltype(type)::element_type;
-        return Ice::uncheckedCast<Prx>(its->stringToProxy(to));
+        // Another connection where the one before was closed.
+        return Ice::uncheckedCast<Prx>(its->stringToProxy(to)->ice_connectionCached(false));
     };
-    Axon::CommUtil::ServerAnnouncement announced;
+    Axon::CommUtil::ServerAnnouncement announced{};
     announced.instance = "one";
     // Whoever is refused is disconnected, so the next call may find its connection closed.
     const auto refusedCall = [](const std::function<void()>& call, const std::string& why) {
@@ -365,7 +401,7 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
                             "the front-end 'fe9' announced itself as 'fe1'; expected its own name"))
         << kLog->all();
 
-    Axon::CommUtil::Header head;
+    Axon::CommUtil::Header head{};
     head.sender.id = client->facts.me.id;
     head.entity = kFirst;
     head.msgType = kMsgText;
@@ -386,11 +422,26 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
     const auto entity_server = communicator(issued(Kind::EntityServer, "es9"));
     const auto at_front_end = straight(std::shared_ptr<FrontEndPrx>(), entity_server,
                                        "FrontEndServerStraight/fe1:" + ssl(kFrontEnd));
-    Axon::CommUtil::EntityStatus status;
+    Axon::CommUtil::EntityStatus status{};
     status.entity = kFirst;
     status.server = "es1";
     EXPECT_TRUE(refusedCall([&] { at_front_end->entityUpdate(status, 1e6); },
                             "the entity-server 'es9' tells of an entity of 'es1'"))
+        << kLog->all();
+    Axon::CommUtil::Registration registration;
+    registration.entity = kFirst;
+    registration.server = "es1";
+    EXPECT_TRUE(refusedCall(
+        [&] {
+            at_front_end->entityBasicPrflUpdate(Axon::CommUtil::Presence::Left, registration, toRange(""));
+        },
+        "called 'entityBasicPrflUpdate', which is for the kind storm"))
+        << kLog->all();
+    EXPECT_TRUE(refusedCall([&] { at_front_end->entityServerEntities("es1", {}); },
+                            "called 'entityServerEntities', which is for the kind storm"))
+        << kLog->all();
+    EXPECT_TRUE(refusedCall([&] { at_entity_server->clientRequest(head); },
+                            "called 'clientRequest', which is for the kind storm"))
         << kLog->all();
     announced.name = "es1";
     EXPECT_TRUE(refusedCall([&] { at_front_end->entityServerUpdate(announced); },
@@ -407,9 +458,14 @@ TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
     const auto robot = newRobot();
     const auto client = newClient();
     ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    const auto signals = openTo(kEntityServerSignal);
+    const auto messages = openTo(kEntityServer);
+    ASSERT_FALSE(signals.empty());
+    ASSERT_FALSE(messages.empty());
     // es9 says that it is where es1 is.
     const auto entity_server = communicator(issued(Kind::EntityServer, "es9"));
-    Axon::CommUtil::ServerAnnouncement announced;
+    Axon::CommUtil::ServerAnnouncement announced{};
     announced.name = "es9";
     announced.instance = "one";
     announced.signals = "EntityServerStraight/es1:" + ssl(kEntityServerSignal);
@@ -428,6 +484,8 @@ TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
         ->entityServerUpdate(announced);
     EXPECT_TRUE(logged("server es9 is out of reach")) << kLog->all();
     EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_THAT(openTo(kEntityServerSignal), testing::IsSupersetOf(signals)) << "es1's own go on";
+    EXPECT_THAT(openTo(kEntityServer), testing::IsSupersetOf(messages));
 }
 
 TEST_F(Links, WhoAnswersInTheNameOfIceStormIsNotBelieved) {
@@ -522,6 +580,9 @@ TEST_F(Links, MisconfigurationIsToldWithItsMend) {
     EXPECT_THAT(complaint(its), HasSubstr("IceStorm is believed whatever it says"));
     its.topic_manager = "IceStorm/TopicManager:ssl -h 127.0.0.1 -p 10430";
     EXPECT_THAT(complaint(its), HasSubstr("expected tcp"));
+    its = plain();
+    its.neighbours["fe2"] = "SessionManager:tcp -h 192.0.2.7 -p 10426";
+    EXPECT_THAT(complaint(its), HasSubstr("Server.Peer.fe2: 'SessionManager:tcp"));
 
     const auto tls = settings(ServerRole::FrontEnd, "fe1");
     its = tls;
@@ -536,6 +597,23 @@ TEST_F(Links, MisconfigurationIsToldWithItsMend) {
     its = tls;
     its.ice_properties["IceSSL.VerifyPeer"] = "0";
     EXPECT_THAT(complaint(its), HasSubstr("IceSSL.VerifyPeer=0"));
+    its.ice_properties["IceSSL.VerifyPeer"] = "00";
+    EXPECT_THAT(complaint(its), HasSubstr("IceSSL.VerifyPeer=00"));
+    its = tls;
+    its.ice_properties["FrontEndServerTopicSignal.PublishedEndpoints"] = "tcp -h 192.0.2.7 -p 10426";
+    EXPECT_THAT(complaint(its), HasSubstr("FrontEndServerTopicSignal.PublishedEndpoints: 'tcp"));
+    its = tls;
+    its.neighbours["fe2"] = "SessionManager:tcp -h 127.0.0.1 -p 10426";
+    EXPECT_THAT(complaint(its), HasSubstr("Server.Peer.fe2: 'SessionManager:tcp"));
+    its = tls;
+    its.client_router_endpoint = "0.0.0.0:0";
+    its.plain_tcp = true;
+    EXPECT_THAT(complaint(its), HasSubstr("is for routers, and the links between servers are under TLS"));
+    its = tls;
+    its.topic_manager = "IceStorm/TopicManager:tcp -p 10430";  // Ice calls this machine
+    EXPECT_THAT(complaint(its), HasSubstr("expected ssl"));
+    its.topic_manager = "IceStorm/TopicManager";
+    EXPECT_THAT(complaint(its), HasSubstr("is not a proxy with an address"));
     its = tls;
     its.ice_properties = issued(Kind::FrontEnd, "fe2");
     EXPECT_THAT(complaint(its), HasSubstr("the front-end 'fe2'; expected that of the front-end 'fe1'"));

@@ -4,7 +4,6 @@
 
     python3 tests/e2e/users_change_test.py --bin build/dev/bin [unittest options]
 """
-import os
 import pathlib
 import shutil
 import subprocess
@@ -15,10 +14,8 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 sys.path.insert(0, str(ROOT / "tests" / "e2e"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs, wait_until  # noqa: E402
-from ownership_test import USERS, Person  # noqa: E402
-
-BIN = programs()
+from laboratory import Laboratory, keep_if_failed, robot_ports, wait_until  # noqa: E402
+from ownership_test import BIN, USERS, Person  # noqa: E402
 
 
 class UsersTest(unittest.TestCase):
@@ -34,8 +31,7 @@ class UsersTest(unittest.TestCase):
         shutil.copytree(ROOT / "examples" / "01_hello_entity", folder)
         basic = folder / "basic.xml"
         basic.write_text(basic.read_text().replace('name="Greeter"', 'name="left"'))
-        low = 5600 + os.getpid() * 20 % 2300
-        lab.ports = f"{low}-{low + 9}"
+        lab.ports = "%d-%d" % robot_ports()
         (folder / "ports.cfg").write_text(f"Axon.Ports = {lab.ports}\n")
         lab.start("app-left", "hello-entity", folder, folder / "ports.cfg")
         config = folder / "manager.cfg"

@@ -66,6 +66,18 @@ void Visitors::Book::remove(std::string_view key) {
     forget(digestOf(key));
 }
 
+void Visitors::Book::removeAll(const std::string& user) {
+    const auto its = of_user_.find(user);
+    if (its == of_user_.end()) return;
+    const auto keys = its->second;  // forget() changes and erases it
+    for (const auto& key : keys) forget(key);
+}
+
+void Visitors::Book::addUsers(std::set<std::string>& to, TimePoint now) {
+    expire(now);
+    for (const auto& [user, keys] : of_user_) to.insert(user);
+}
+
 std::string Visitors::enter(const std::string& user) {
     const std::lock_guard lock(mutex_);
     return visits_.add(user, clock_.now(), random_);
@@ -79,6 +91,20 @@ std::optional<std::string> Visitors::userOf(std::string_view key) {
 void Visitors::leave(std::string_view key) {
     const std::lock_guard lock(mutex_);
     visits_.remove(key);
+}
+
+void Visitors::forget(const std::string& user) {
+    const std::lock_guard lock(mutex_);
+    visits_.removeAll(user);
+    tickets_.removeAll(user);
+}
+
+std::vector<std::string> Visitors::users() {
+    std::set<std::string> all;
+    const std::lock_guard lock(mutex_);
+    visits_.addUsers(all, clock_.now());
+    tickets_.addUsers(all, clock_.now());
+    return {all.begin(), all.end()};
 }
 
 std::string Visitors::ticket(const std::string& user) {

@@ -5,8 +5,10 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
@@ -16,8 +18,9 @@ namespace axon::console {
 /// Who has logged in to the console, and the tickets with which their pages open sessions.
 ///
 /// A log-in gives a key of 128 random bits, which the browser keeps as a cookie that scripts cannot read, for
-/// twelve hours or until log-out. For each session a page gets a ticket, which is good once, for half a
-/// minute: a script that was smuggled into the page cannot take anything away that outlasts the visit.
+/// twelve hours, until log-out, or until the user is removed or has a new password. For each session a page
+/// gets a ticket, which is good once, for half a minute: a script that was smuggled into the page cannot take
+/// anything away that outlasts the visit.
 ///
 /// They are known by their digests, so how long a look-up takes says nothing about those that there are.
 ///
@@ -41,6 +44,10 @@ class Visitors {
     void leave(std::string_view key);
     /// A ticket for this user: 32 hexadecimal digits.
     std::string ticket(const std::string& user);
+    /// The user's keys and tickets are void: the user is another one now, or has another password.
+    void forget(const std::string& user);
+    /// Of all whose keys or tickets are good.
+    std::vector<std::string> users();
     /// Whose ticket it was; it is no more.
     std::optional<std::string> redeem(std::string_view ticket);
 
@@ -53,6 +60,8 @@ class Visitors {
         std::string add(const std::string& user, TimePoint now, RandomSource& random);
         std::optional<std::string> find(std::string_view key, TimePoint now);
         void remove(std::string_view key);
+        void removeAll(const std::string& user);
+        void addUsers(std::set<std::string>& to, TimePoint now);
 
       private:
         using Digest = std::array<unsigned char, 32>;

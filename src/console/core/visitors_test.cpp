@@ -41,6 +41,23 @@ TEST_F(VisitorsTest, ATicketIsGoodOnce) {
     EXPECT_FALSE(visitors.redeem(ticket));
 }
 
+TEST_F(VisitorsTest, KeysAndTicketsOfAUserAreForgottenAndNobodyElses) {
+    const auto key = visitors.enter("anna"), other = visitors.enter("anna"), bobs = visitors.enter("bob");
+    const auto ticket = visitors.ticket("anna"), bobs_ticket = visitors.ticket("bob");
+    visitors.ticket("carl");
+    EXPECT_EQ(visitors.users(), (std::vector<std::string>{"anna", "bob", "carl"}));
+    visitors.forget("anna");
+    visitors.forget("anna");
+    EXPECT_FALSE(visitors.userOf(key));
+    EXPECT_FALSE(visitors.userOf(other));
+    EXPECT_FALSE(visitors.redeem(ticket));
+    EXPECT_EQ(visitors.userOf(bobs), "bob");
+    EXPECT_EQ(visitors.redeem(bobs_ticket), "bob");
+    clock.advance(Visitors::kTicket);
+    EXPECT_EQ(visitors.users(), (std::vector<std::string>{"bob"}));
+    EXPECT_EQ(visitors.userOf(visitors.enter("anna")), "anna");
+}
+
 TEST_F(VisitorsTest, ATicketIsGoodForHalfAMinute) {
     const auto ticket = visitors.ticket("anna");
     clock.advance(30s);

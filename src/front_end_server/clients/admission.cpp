@@ -32,7 +32,7 @@ Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const 
     if (!check_out && head.msg_type != kMsgWatch) return false;
     const bool for_itself = check_out && client.me.role != Role::Observer;
     const bool first = for_itself && !client.entities.askedForCheckOut(head.entity);
-    if (!client.entities.ask(head.entity, for_itself, entities.has(head.entity, Lane::Data)))
+    if (!client.entities.ask(head.entity, for_itself, entities.has(head.entity, Lane::Data), head.sequence))
         return refuse(RefusalCode::NotConnected, "its session has ended");
     return first;
 }
@@ -66,6 +66,7 @@ Result<void> admitToShare(Client& client, std::size_t bytes, bool droppable,
 
 Result<void> admitCheckOut(const Client& client, const Header& head, const FrontEndCoreSettings& settings) {
     if (head.msg_type != kMsgCheckOut || client.entities.holds(head.entity) ||
+        client.entities.wants(head.entity) ||
         client.share->held.load(std::memory_order_relaxed) < settings.user_check_outs)
         return {};
     return refuse(RefusalCode::Overloaded,

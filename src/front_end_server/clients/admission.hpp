@@ -26,7 +26,7 @@ Result<void> admitToShare(Client& client, std::size_t bytes, bool droppable,
                           const FrontEndCoreSettings& settings, const Clock& clock);
 
 /// Whether the client's user may check out one more entity. What is being asked for at this moment is not
-/// counted.
+/// counted, and what belongs to a check-out that was passed on is passed on: its commit, its abort.
 Result<void> admitCheckOut(const Client& client, const Header& head, const FrontEndCoreSettings& settings);
 
 }  // namespace axon::front_end_server

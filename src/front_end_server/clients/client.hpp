@@ -33,12 +33,13 @@ class Client {
   public:
     Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
            const FrontEndCoreSettings& settings, TimePoint now, std::string its_user = {},
-           std::shared_ptr<UserShare> its_share = nullptr)
+           std::shared_ptr<UserShare> its_share = nullptr, bool is_surplus = false)
         : me(std::move(its_sender)),
           token(std::move(its_token)),
           user(std::move(its_user)),
           data(std::move(its_data)),
           share(its_share ? std::move(its_share) : std::make_shared<UserShare>(settings)),
+          surplus(is_surplus),
           rate(settings.messages_per_second),
           drill_rate(settings.drills_per_second),
           liveness(settings.watchdog_busy, settings.watchdog_idle, now),
@@ -50,12 +51,14 @@ class Client {
     const std::string user;  // who logged in; empty where nobody has a name
     const std::shared_ptr<ClientOutbox> data;
     const std::shared_ptr<UserShare> share;  // with the other sessions of the user
+    const bool surplus;                      // beyond the sessions that the user may have
 
     RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
     Liveness liveness;                               // hears without a lock; changed under the core's mutex
     std::atomic<std::size_t> told{0};                // entities, when it joined
     ItsEntities entities;
+    std::atomic<bool> gone{false};  // what it sends is passed on no more, but for stops
 
     // Guarded by the core's mutex.
     TimePoint next_heartbeat;

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <cstddef>
+#include <cstdint>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <unordered_map>
 #include <unordered_set>
@@ -25,8 +27,8 @@ class ItsEntities {
     using Asked = std::unordered_map<std::string, bool>;
     static constexpr std::size_t kUnknown = 256;
 
-    /// `known`: to the server. False after take().
-    bool ask(const std::string& entity, bool check_out, bool known) {
+    /// `known`: to the server. `sequence`: of the message. False after take().
+    bool ask(const std::string& entity, bool check_out, bool known, std::int64_t sequence = 0) {
         const std::lock_guard lock(mutex_);
         if (taken_) return false;
         if (known) {
@@ -37,7 +39,22 @@ class ItsEntities {
         }
         auto& before = asked_[entity];
         before = before || check_out;
+        if (check_out) wanted_[entity] = sequence;
         return true;
+    }
+    /// Whether a check-out was passed on since it last held the entity: what belongs to that is under way.
+    bool wants(const std::string& entity) const {
+        const std::lock_guard lock(mutex_);
+        return wanted_.contains(entity);
+    }
+    /// The same, which it wants no longer: the last message of it.
+    std::optional<std::int64_t> giveUp(const std::string& entity) {
+        const std::lock_guard lock(mutex_);
+        const auto found = wanted_.find(entity);
+        if (found == wanted_.end()) return std::nullopt;
+        const auto sequence = found->second;
+        wanted_.erase(found);
+        return sequence;
     }
     /// Whether it was asked, for a check-out or a watch.
     bool asked(const std::string& entity) const {
@@ -58,12 +75,16 @@ class ItsEntities {
         const std::lock_guard lock(mutex_);
         taken_ = true;
         unknown_.clear();
+        wanted_.clear();
         return std::exchange(asked_, {});
     }
     /// Whether that is new.
     bool setHeld(const std::string& entity, bool held) {
         const std::lock_guard lock(mutex_);
-        return held ? held_.insert(entity).second : held_.erase(entity) > 0;
+        if (held) return held_.insert(entity).second;
+        if (held_.erase(entity) == 0) return false;
+        wanted_.erase(entity);
+        return true;
     }
     std::size_t held() const {
         const std::lock_guard lock(mutex_);
@@ -78,7 +99,8 @@ class ItsEntities {
     mutable std::mutex mutex_;
     // Guarded by mutex_:
     Asked asked_;
-    std::unordered_set<std::string> unknown_;  // of asked_, those that the server did not know
+    std::unordered_set<std::string> unknown_;               // of asked_, those that the server did not know
+    std::unordered_map<std::string, std::int64_t> wanted_;  // of asked_, with the last message for it
     bool taken_ = false;
     std::unordered_set<std::string> held_;
 };

@@ -22,6 +22,25 @@ TEST(ItsEntities, OneThatWasAskedForACheckOutStaysSoWhateverItIsAskedForNext) {
     EXPECT_TRUE(entities.askedForCheckOut("a"));
 }
 
+TEST(ItsEntities, ACheckOutIsUnderWayUntilItIsGivenBackOrGivenUp) {
+    ItsEntities entities;
+    entities.ask("a", false, true, 1);
+    EXPECT_FALSE(entities.wants("a"));
+    EXPECT_EQ(entities.giveUp("a"), std::nullopt);
+    entities.ask("a", true, true, 2);
+    entities.ask("a", true, true, 3);
+    EXPECT_TRUE(entities.wants("a"));
+    entities.setHeld("a", false);
+    EXPECT_TRUE(entities.wants("a")) << "it has not been granted yet";
+    entities.setHeld("a", true);
+    entities.setHeld("a", false);
+    EXPECT_FALSE(entities.wants("a"));
+    EXPECT_TRUE(entities.askedForCheckOut("a"));
+    entities.ask("a", true, true, 4);
+    EXPECT_EQ(entities.giveUp("a"), 4);
+    EXPECT_FALSE(entities.wants("a"));
+}
+
 TEST(ItsEntities, TheyAreToldOnceOfTheClientsEndAndNobodyIsAskedAfterwards) {
     ItsEntities entities;
     entities.ask("a", true, true);

@@ -16,7 +16,9 @@ struct UserShare {
 
     RateLimit messages, bytes;
     std::atomic<std::size_t> held{0};  // entities; changed under the core's mutex
-    std::size_t sessions = 0;          // guarded by the core's mutex
+    // Guarded by the core's mutex:
+    std::size_t sessions = 0;
+    std::size_t surplus = 0;  // of these, those beyond the most, which may only watch and stop
 };
 
 }  // namespace axon::front_end_server

@@ -46,7 +46,7 @@ std::uint16_t portOf(const std::string& address) {
 }  // namespace
 
 std::optional<std::string> notServer(const Ice::Connection& connection, Kind kind, const std::string& name) {
-    const auto its = certificateOf(connection);
+    const auto its = verifiedCertificateOf(connection);
     if (!its) return "was not shown";
     if (!name.empty()) {
         certificates::Certificate shown_one;
@@ -118,7 +118,7 @@ PeerCertificate LinkTrust::callerOf(const std::shared_ptr<Ice::Connection>& conn
         const std::lock_guard lock(mutex_);
         if (const auto found = callers_.find(connection.get()); found != callers_.end()) return found->second;
     }
-    auto its = certificateOf(*connection).value_or(PeerCertificate{});
+    auto its = verifiedCertificateOf(*connection).value_or(PeerCertificate{});
     {
         const std::lock_guard lock(mutex_);
         if (!callers_.emplace(connection.get(), its).second) return its;

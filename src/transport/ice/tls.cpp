@@ -90,7 +90,7 @@ std::string addressIn(const std::string& message, const std::string& side) {
 }
 
 /// What IceSSL says where the verifier of ours has refused, which has told why itself.
-constexpr const char* kRefusedByUs = "certificate verification failed";
+constexpr const char* kRefusedByUs = "rejected by certificate verifier";
 
 /// The plug-in's; null without it.
 std::shared_ptr<IceSSL::Plugin> pluginOf(const std::shared_ptr<Ice::Communicator>& communicator) {
@@ -130,7 +130,7 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
   private:
     void refused(const std::string& message) {
         const auto text = said(message);
-        if (text.find(kRefusedByUs) != std::string::npos && meaningOf(message) == nullptr) return;
+        if (message.find(kRefusedByUs) != std::string::npos) return;
         const auto* const means = meaningOf(message) != nullptr ? meaningOf(message) : kWithoutReason;
         const auto peer = addressIn(message, "remote");
         if (limit_.admit(clock_.now()))
@@ -164,6 +164,11 @@ bool answersPeers(const PeerCertificate& its) {
     return kind && isCalled(*kind) && *kind != Kind::Storm;
 }
 
+/// Nothing also where IceSSL has let pass what it has not verified (IceSSL.VerifyPeer=0).
+std::optional<PeerCertificate> verifiedOf(const IceSSL::ConnectionInfo& info) {
+    return info.verified ? contentOf(info) : std::nullopt;
+}
+
 std::string peerOf(const IceSSL::ConnectionInfo& info) {
     for (auto layer = info.underlying; layer; layer = layer->underlying)
         if (const auto ip = std::dynamic_pointer_cast<Ice::IPConnectionInfo>(layer))
@@ -176,6 +181,11 @@ std::string peerOf(const IceSSL::ConnectionInfo& info) {
 std::optional<PeerCertificate> certificateOf(const Ice::Connection& connection) {
     const auto info = tlsOf(connection);
     return info ? contentOf(*info) : std::nullopt;
+}
+
+std::optional<PeerCertificate> verifiedCertificateOf(const Ice::Connection& connection) {
+    const auto info = tlsOf(connection);
+    return info ? verifiedOf(*info) : std::nullopt;
 }
 
 bool isTls(const Ice::Connection& connection) {
@@ -283,7 +293,7 @@ void judgeCertificates(const std::shared_ptr<Ice::Communicator>& communicator,
     if (!plugin) return;
     plugin->setCertificateVerifier(
         [accept = std::move(accept)](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
-            return accept({info->incoming, info->adapterName, peerOf(*info), contentOf(*info)});
+            return accept({info->incoming, info->adapterName, peerOf(*info), verifiedOf(*info)});
         });
 }
 

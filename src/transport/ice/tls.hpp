@@ -17,8 +17,11 @@
 // TLS by IceSSL (docs/reference/tls.md): what the rest of the transport asks of it. Threads: any.
 namespace axon::transport {
 
-/// The peer's certificate, which IceSSL has verified; none over plain TCP, and of a peer that showed none.
+/// The peer's certificate, which IceSSL has verified unless it was told not to (callingEntities()); none over
+/// plain TCP, and of a peer that showed none.
 std::optional<PeerCertificate> certificateOf(const Ice::Connection& connection);
+/// The same, and none where IceSSL has not verified it.
+std::optional<PeerCertificate> verifiedCertificateOf(const Ice::Connection& connection);
 
 bool isTls(const Ice::Connection& connection);
 

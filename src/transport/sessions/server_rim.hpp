@@ -66,10 +66,8 @@ class ServerRim {
             door_->neighbours = neighboursOf(*data, settings.neighbours);
             router_adapter_ = listenForRouters(*data, kName + "Router", settings.router_endpoint, *door_);
             if (settings.links != nullptr)
-                settings.links->admit(
-                    *router_adapter_,
-                    {certificates::Kind::Router, certificates::Kind::Server, Kind::kCertificate},
-                    LinkTrust::Bare::Judged);
+                settings.links->admit(*router_adapter_, {certificates::Kind::Router,
+                                                         certificates::Kind::Server, Kind::kCertificate});
         }
         if (settings.here == nullptr) {
             others_ = listenToServers<typename Kind::Listener>(core, Kind::kServer, settings, *data);

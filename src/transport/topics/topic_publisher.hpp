@@ -61,13 +61,15 @@ class TopicPublisher {
         Places places;
         for (const auto& proxy : proxies) places.push_back({{}, proxy});
         Opening opening;
+        Lines complaints;
         {
             const std::lock_guard lock(changes_);
-            store(data_, routes(*data_communicator_, places, "axon-topic", {}, {}));
-            store(signal_,
-                  routes(*signal_communicator_, places, "axon-topic-signal", OutboxLimits::ofSignals(), {}));
+            store(data_, routes(*data_communicator_, places, "axon-topic", {}, {}, complaints));
+            store(signal_, routes(*signal_communicator_, places, "axon-topic-signal",
+                                  OutboxLimits::ofSignals(), {}, complaints));
             opening = toOpen({&data_, &signal_});
         }
+        warn(complaints);
         const auto deadline = std::chrono::steady_clock::now() + kPatience;
         for (const auto& opened : open(opening)) opened.wait_until(deadline);
     }
@@ -79,14 +81,16 @@ class TopicPublisher {
             if (!neighbour.messages.empty()) messages.push_back({neighbour.name, neighbour.messages});
         }
         Opening opening;
+        Lines complaints;
         {
             const std::lock_guard lock(changes_);
             store(direct_, routes(*signal_communicator_, signals, "axon-direct", OutboxLimits::ofSignals(),
-                                  *direct_.load()));
-            store(direct_data_,
-                  routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
+                                  *direct_.load(), complaints));
+            store(direct_data_, routes(*data_communicator_, messages, "axon-direct-data", {},
+                                       *direct_data_.load(), complaints));
             opening = toOpen({&direct_, &direct_data_});
         }
+        warn(complaints);
         open(opening);
     }
     /// Gives those whose connection failed another one.
@@ -200,6 +204,7 @@ class TopicPublisher {
         Route route;
     };
     using Opening = std::vector<ToOpen>;
+    using Lines = std::vector<std::string>;
     static constexpr std::chrono::seconds kPatience{2};
     static constexpr std::chrono::seconds kTryAgain{1};
 
@@ -276,17 +281,24 @@ class TopicPublisher {
             failed(route, translate(error, true).message);
         }
     }
-    /// It is tried again, and told of once for each reason.
+    /// It is tried again, and told of once for each reason: without the mutex, for which heartbeats wait.
     void failed(const Route& route, const std::string& why, bool wrong_server = false) {
-        const std::lock_guard lock(changes_);
-        route.attempt->runs = false;
-        route.attempt->not_before = std::chrono::steady_clock::now() + kTryAgain;
-        if (std::exchange(route.attempt->complaint, why) == why) return;
+        {
+            const std::lock_guard lock(changes_);
+            route.attempt->runs = false;
+            route.attempt->not_before = std::chrono::steady_clock::now() + kTryAgain;
+            if (std::exchange(route.attempt->complaint, why) == why) return;
+        }
         const auto called = route.place.server.empty() ? "IceStorm" : "server " + route.place.server;
         if (wrong_server) return links_->noteWrongServer(called, why);
         spdlog::warn("{}: {} is out of reach: {}", who_, called, why);
     }
 
+    /// Ice shares a connection between the proxies with one id and address. Each server has one of its own:
+    /// who announces another server's address would have that one's closed.
+    static std::string connectionOf(const Place& place, const std::string& connection) {
+        return place.server.empty() ? connection : connection + "-" + place.server;
+    }
     /// Held by the caller, because another thread may store new ones.
     std::shared_ptr<const Routes> directRoutes(Lane lane) const {
         return (lane == Lane::Signal ? direct_ : direct_data_).load();
@@ -301,8 +313,12 @@ class TopicPublisher {
                 spdlog::warn("{}: messages cannot be published: {}", who, why);
             });
     }
+    void warn(const Lines& lines) const {
+        for (const auto& line : lines) spdlog::warn("{}: {}", who_, line);
+    }
+    /// `complaints`: for warn(), when `changes_` is not held any more.
     Routes routes(Ice::Communicator& communicator, const Places& places, const std::string& connection,
-                  OutboxLimits limits, const Routes& before) const {
+                  OutboxLimits limits, const Routes& before, Lines& complaints) const {
         Routes routes;
         for (const auto& place : places) {
             const auto same = std::find_if(before.begin(), before.end(),
@@ -315,7 +331,7 @@ class TopicPublisher {
                 auto proxy = Ice::uncheckedCast<Prx>(communicator.stringToProxy(place.proxy))
                                  ->ice_oneway()
                                  ->ice_invocationTimeout(-1)
-                                 ->ice_connectionId(connection);
+                                 ->ice_connectionId(connectionOf(place, connection));
                 if (links_ != nullptr) {
                     // A proxy that caches its connection would return it also when it is closed.
                     const auto asked = proxy->ice_secure(true)->ice_connectionCached(false);
@@ -324,8 +340,9 @@ class TopicPublisher {
                     routes.push_back({place, proxy, sender(proxy, limits), nullptr});
                 }
             } catch (const Ice::Exception& error) {
-                spdlog::warn("{}: '{}' is not a proxy to which messages can be published ({})", who_,
-                             place.proxy, error.ice_id());
+                complaints.push_back("'" + place.proxy +
+                                     "' is not a proxy to which messages can be published (" +
+                                     error.ice_id() + ")");
             }
         }
         return routes;
