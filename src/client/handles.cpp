@@ -163,12 +163,13 @@ Result<std::unique_ptr<Client>> Client::connect(Options options) {
         return Refusal{RefusalCode::Malformed, error.what(), {}};
     }
     if (options.server.starts_with("http://") || options.server.starts_with("https://"))
-        return Refusal{RefusalCode::Malformed,
-                       "'" + options.server +
-                           "' is the address of a web page, such as the web console; clients use another port "
-                           "of the server, 10410 by default; fix: give HOST:PORT, as in client=HOST:PORT of "
-                           "the line that axon-server prints at its start",
-                       {}};
+        return Refusal{
+            RefusalCode::Malformed,
+            "'" + options.server +
+                "' is the address of a web page, such as the web console; clients use another port "
+                "of the server, 10410 by default; fix: give HOST:PORT, as in client=HOST:PORT of "
+                "the line that axon-server prints at its start",
+            {}};
     auto session = std::make_shared<Session>(std::move(options), std::move(clock));
     const auto connected = session->connect();
     if (!connected) {
