@@ -86,7 +86,8 @@ class StormTopics::Search {
         } catch (const NoStorm& other) {
             const auto before = std::exchange(complained_, Complaint::Impostor);
             lost();
-            if (before != Complaint::Impostor) settings_.links->noteWrongServer(settings_.manager, other.what());
+            if (before != Complaint::Impostor)
+                settings_.links->noteWrongServer(settings_.manager, other.what());
             return clock_.now() + kLook;
         } catch (const Ice::Exception& error) {
             lost();
