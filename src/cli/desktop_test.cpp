@@ -122,11 +122,12 @@ TEST_F(OnDesktop, AViewOpensWhereTheUserIsWhoTypedIt) {
     ::setenv("WAYLAND_DISPLAY", "wayland-agent", 1);
     Recorded seen;
     const Settings settings;
-    const auto station = std::make_shared<FakeStation>();
-    station->stream = "camera";
-    station->samples = {
-        {1, R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"/9j/b2xk"}})"}};
     const auto watch = [&] {
+        const auto station = std::make_shared<FakeStation>();
+        station->stream = "camera";
+        station->samples = {
+            {1,
+             R"({"stream":"camera","image":{"width":2,"height":1,"encoding":"jpeg","pixels":"/9j/b2xk"}})"}};
         Session session{args, seen, std::make_shared<Mailbox>(), station, settings, true};
         EXPECT_EQ(findVerb("watch")->perform(session), kDone);
         return seen.last("viewing")->at("opened").get<bool>();

@@ -165,7 +165,7 @@ class EntityGateServant final : public Axon::EntityComm::EntityGate {
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
   public:
-    /// Who calls straight, and what. What comes by the topic only is for IceStorm.
+    /// Who calls straight, and what. What comes by the topic only is for whoever carries it.
     static constexpr std::array kCallers{certificates::Kind::FrontEnd, certificates::Kind::EntityServer};
     static certificates::Kind callerOf(std::string_view operation);
 

@@ -453,15 +453,13 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     if (cause == StopCause::Drill && refuseGone(*client, head, *client->signalOutbox())) return;
     if (cause == StopCause::Drill && drillsTooMuch(client, head, wanted.size())) return;
     if (cause == StopCause::Drill) {
-        const auto unseen = std::stable_partition(wanted.begin(), wanted.end(), [&](const auto& entity) {
-            return sees(*client, entity, Lane::Signal);
-        });
         auto refused = head;
-        for (auto entity = unseen; entity != wanted.end(); ++entity) {
-            refused.entity = entity->substr(0, 64);
+        std::erase_if(wanted, [&](const auto& entity) {
+            if (sees(*client, entity, Lane::Signal)) return false;
+            refused.entity = entity.substr(0, 64);
             refuseUnknown(*client->signalOutbox(), refused);
-        }
-        wanted.erase(unseen, wanted.end());
+            return true;
+        });
     }
     topic_.stopSignals(head, wanted, cause);
     const auto known = [&](const std::string& entity) { return entities_.has(entity, Lane::Signal); };

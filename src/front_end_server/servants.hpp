@@ -149,7 +149,7 @@ class ClientGateServant final : public Axon::FrontEndComm::ClientGate {
 /// Listens to the entity servers on one lane (thesis figure 3.14).
 class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {
   public:
-    /// Who calls straight, and what. What comes by the topic only is for IceStorm.
+    /// Who calls straight, and what. What comes by the topic only is for whoever carries it.
     static constexpr std::array kCallers{certificates::Kind::EntityServer};
     static certificates::Kind callerOf(std::string_view operation);
 

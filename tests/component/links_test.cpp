@@ -489,8 +489,9 @@ TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
 }
 
 TEST_F(Links, WhoAnswersInTheNameOfIceStormIsNotBelieved) {
-    startStorm(file(ours, Kind::Router, loopbackAddress()));
     fe1 = std::make_unique<server::Server>(settings(ServerRole::FrontEnd, "fe1"));
+    ASSERT_TRUE(logged("IceStorm is out of reach")) << kLog->all();
+    startStorm(file(ours, Kind::Router, loopbackAddress()));
     EXPECT_TRUE(logged("is that of the router '" + loopbackAddress() + "'; expected one of the kind storm"))
         << kLog->all();
     EXPECT_FALSE(kLog->has("IceStorm was found"));

@@ -74,8 +74,9 @@ TEST_F(Audit, ShowsTheRecordsThatAreAskedFor) {
 TEST_F(Audit, WithoutAFolderItSaysThatAuditingIsOffAndWhatTurnsItOn) {
     if (std::filesystem::exists("/var/lib/axon-server/audit")) GTEST_SKIP() << "this machine records";
     EXPECT_EQ(axon({"show"}), kUsage);
-    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("auditing is off"));
-    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("set Axon.Audit.Folder=DIR"));
+    const auto error = *seen.last("error");
+    EXPECT_THAT(error.at("message").get<std::string>(), HasSubstr("auditing is off"));
+    EXPECT_THAT(error.at("fix").get<std::string>(), HasSubstr("set Axon.Audit.Folder=DIR"));
 }
 
 TEST_F(Audit, AUserIsFoundByWhatTheClientDidUnderAnotherName) {

@@ -77,20 +77,21 @@ class StormTopics::Search {
         try {
             if (!stands()) {
                 auto publishers = join();
-                said_ = false;
+                complained_ = Complaint::None;
                 note_("IceStorm was found; the topics to the other servers are ready");
                 changed_(publishers);
             }
             lookForOthers();
             return clock_.now() + kLook;
         } catch (const NoStorm& other) {
-            const bool known = std::exchange(said_, true);
+            const auto before = std::exchange(complained_, Complaint::Impostor);
             lost();
-            if (!known) settings_.links->noteWrongServer(settings_.manager, other.what());
+            if (before != Complaint::Impostor)
+                settings_.links->noteWrongServer(settings_.manager, other.what());
             return clock_.now() + kLook;
         } catch (const Ice::Exception& error) {
             lost();
-            if (!std::exchange(said_, true)) {
+            if (std::exchange(complained_, Complaint::OutOfReach) != Complaint::OutOfReach) {
                 note_("IceStorm is out of reach (" + settings_.manager + ": " +
                       translate(std::current_exception(), settings_.links != nullptr).message +
                       "): only signals reach the other servers; fix: start icebox");
@@ -202,7 +203,7 @@ class StormTopics::Search {
     std::shared_ptr<Ice::Connection> over_;      // null: the links are plain
     std::shared_ptr<IceStorm::TopicPrx> topic_;  // null: searching
     std::vector<std::shared_ptr<IceStorm::TopicPrx>> published_;
-    bool said_ = false;
+    enum class Complaint : std::uint8_t { None, OutOfReach, Impostor } complained_ = Complaint::None;
     std::set<int> others_;  // of which it was told
     TimePoint look_for_others_;
     std::unique_ptr<TimerThread> thread_;
