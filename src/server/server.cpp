@@ -155,19 +155,23 @@ void checkOwnCertificate(const ServerSettings& settings) {
             file + ") " + wrong + "; fix: " + issueOwn(settings) + ", and use its configuration file");
 }
 
-/// The endpoints of a proxy, as Ice reads it with these properties.
-std::vector<transport::Endpoint> calledBy(const std::string& key, const std::string& text,
-                                          const std::map<std::string, std::string>& properties) {
+/// Reads proxies as Ice does with these properties; calls nobody.
+Ice::InitializationData readerOf(const std::map<std::string, std::string>& properties) {
     Ice::InitializationData init;
     init.properties = Ice::createProperties();
     for (const auto& [name, value] : properties)
         if (name.rfind("Ice.Default.", 0) == 0) init.properties->setProperty(name, value);
     init.properties->setProperty("Ice.Plugin.IceSSL", "IceSSL:createIceSSL");  // it reads ssl
+    return init;
+}
+
+/// The endpoints of a proxy.
+std::vector<transport::Endpoint> calledBy(const std::string& key, const std::string& text,
+                                          Ice::Communicator& reader) {
     std::vector<transport::Endpoint> all;
     bool known = true;
     try {
-        const Ice::CommunicatorHolder reader(init);
-        const auto proxy = reader->stringToProxy(text);
+        const auto proxy = reader.stringToProxy(text);
         for (const auto& endpoint : proxy ? proxy->ice_getEndpoints() : Ice::EndpointSeq()) {
             const auto outer = endpoint->getInfo();
             std::shared_ptr<Ice::IPEndpointInfo> ip;
@@ -188,9 +192,9 @@ std::vector<transport::Endpoint> calledBy(const std::string& key, const std::str
 }
 
 /// Whom this server calls by configuration. Over TLS it has to show who it is.
-void checkCalled(const std::string& key, const std::string& text, const ServerSettings& settings, bool tls) {
+void checkCalled(const std::string& key, const std::string& text, Ice::Communicator& reader, bool tls) {
     const bool storm = key == "Server.TopicManager";
-    for (const auto& one : calledBy(key, text, settings.ice_properties)) {
+    for (const auto& one : calledBy(key, text, reader)) {
         // IceStorm calls the ports for the other servers, which are all under TLS, or none.
         if (one.tls != tls && (tls || storm))
             throw std::runtime_error(key + ": '" + text + "': expected " + (tls ? "ssl" : "tcp") +
@@ -209,10 +213,12 @@ void checkCalled(const std::string& key, const std::string& text, const ServerSe
 }
 
 void checkPeers(const ServerSettings& settings, bool tls) {
+    if (settings.topic_manager.empty() && settings.neighbours.empty()) return;
+    const Ice::CommunicatorHolder reader(readerOf(settings.ice_properties));
     if (!settings.topic_manager.empty())
-        checkCalled("Server.TopicManager", settings.topic_manager, settings, tls);
+        checkCalled("Server.TopicManager", settings.topic_manager, *reader.communicator(), tls);
     for (const auto& [name, proxy] : settings.neighbours)
-        checkCalled("Server.Peer." + name, proxy, settings, tls);
+        checkCalled("Server.Peer." + name, proxy, *reader.communicator(), tls);
 }
 
 /// Where the others are told to call: as where it listens, or they would call without TLS.
@@ -695,12 +701,7 @@ class Server::Parts {
     void watchHandshakes(const std::shared_ptr<Ice::Communicator>& communicator,
                          transport::LinkTrust* its_links) {
         const auto refused = [this](const std::string& peer, const std::string& why) {
-            const auto what = "a TLS handshake: " + why;
-            audit::orNone(trail.get())
-                .note({.kind = audit::Kind::Refusal,
-                       .peer = peer,
-                       .what = what,
-                       .outcome = refusalName(RefusalCode::PermissionDenied)});
+            logins.turnedAway(peer, "a TLS handshake", {RefusalCode::PermissionDenied, why, {}});
         };
         if (its_links != nullptr) return its_links->guard(communicator, refused);
         transport::onRefused(communicator, [refused](const std::string& peer, const std::string&,

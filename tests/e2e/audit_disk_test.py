@@ -20,7 +20,8 @@ import stalls  # noqa: E402
 from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
 BIN = programs()
-UNSHARE = ["unshare", "--user", "--map-root-user", "--mount"]
+# Without a user namespace where that is permitted: in one, no thread may have a real-time priority.
+WAYS = [["unshare", "--mount"], ["unshare", "--user", "--map-root-user", "--mount"]]
 INSIDE = "AXON_TEST_OWN_MOUNTS"
 
 
@@ -44,7 +45,6 @@ class AuditDiskTest(unittest.TestCase):
         lab.wait_for_entity("Greeter")
 
     def tidy(self):
-        self.lab.axon("agent", "stop")
         self.lab.end()
         subprocess.run(["umount", "--lazy", self.disk], check=False)
         keep_if_failed(self, self.lab.folder)
@@ -73,12 +73,13 @@ class AuditDiskTest(unittest.TestCase):
         return [line for line in lines if line["event"] == "audit_record"]
 
     def test_a_full_disk_stops_nothing_that_stops_robots_and_is_reported(self):
-        self.does("checkout", "Greeter")
         self.fill()
         # The rest of the page of each file is still free: until it is used up as well.
+        stops = 0
         for _ in range(60):
             self.does("stop", "Greeter")
             self.does("rearm", "Greeter")
+            stops += 1
             if all("cannot be written" in process.text() for process in (self.lab.server, self.manager)):
                 break
         for process in (self.lab.server, self.manager):
@@ -87,24 +88,20 @@ class AuditDiskTest(unittest.TestCase):
             self.assertIn("fix: make room on the disk", text)
         # A log-in, a stop with its receipt, and a rearm.
         self.does("ls")
-        stopped = self.does("stop", "Greeter")
-        self.assertTrue(stopped)
+        self.does("stop", "Greeter")
         self.does("rearm", "Greeter")
-        self.does("release", "Greeter")
+        stops += 1
 
         (self.disk / "filler").unlink()
         for process in (self.lab.server, self.manager):
             wait_until(lambda p=process: "records are written again" in p.text(), f"{process.name} writes again", 15)
         # What was done meanwhile has waited.
-        wait_until(lambda: any("free" in line.get("what", "") for line in self.records(self.trails, "--kind", "ownership")),
-                   "the release is in the server's trail")
-        wait_until(lambda: any("lease-ended" in line.get("what", "") for line in self.records(self.own_trail)),
-                   "the release is in the Entity Manager's trail")
         for folder in (self.trails, self.own_trail):
+            for kind in ("stop", "rearm"):
+                wait_until(lambda f=folder, k=kind: len(self.records(f, "--kind", k)) == stops,
+                           f"all {stops} {kind}s are in {folder.name}")
             status, lines, _ = self.lab.axon("audit", "verify", str(folder))
             self.assertEqual(status, 0, lines)
-            stops = self.records(folder, "--kind", "stop")
-            self.assertGreaterEqual(len(stops), 2)
 
     def test_a_kill_while_the_disk_is_full_leaves_a_whole_trail_and_the_next_life_goes_on(self):
         self.fill()
@@ -125,8 +122,9 @@ class AuditDiskTest(unittest.TestCase):
 
 if __name__ == "__main__":
     if INSIDE not in os.environ:
-        if subprocess.run([*UNSHARE, "mount", "-t", "tmpfs", "tmpfs", "/mnt"], capture_output=True, check=False).returncode:
-            print("skipped: mount namespaces cannot be made")
-            sys.exit(77)
-        os.execvpe("unshare", [*UNSHARE, sys.executable, *sys.argv], {**os.environ, INSIDE: "1"})
+        for way in WAYS:
+            if subprocess.run([*way, "mount", "-t", "tmpfs", "tmpfs", "/mnt"], capture_output=True, check=False).returncode == 0:
+                os.execvpe(way[0], [*way, sys.executable, *sys.argv], {**os.environ, INSIDE: "1"})
+        print("skipped: mount namespaces cannot be made")
+        sys.exit(77)
     stalls.main()

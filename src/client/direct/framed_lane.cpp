@@ -53,11 +53,13 @@ void FramedLane::send(direct::Keeping keeping, const Header& head,
 }
 
 void FramedLane::end(const std::string& why) {
+    // Before it is over: whoever closes it on another thread may then let go of its owner.
+    const auto owner = owner_.lock();
     if (over_.exchange(true)) return;
     outbox_.close();
     socket_.shut();
     readers_->remove(number_);
-    if (const auto owner = owner_.lock()) owner->laneOver(why);
+    if (owner) owner->laneOver(why);
 }
 
 void FramedLane::ready(LaneReaders::Ready what) {

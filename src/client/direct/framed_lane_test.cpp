@@ -56,6 +56,7 @@ struct Path final : FramedLane::Owner {
         const std::lock_guard lock(mutex);
         reason = why;
         over = true;
+        if (on_over) on_over();
     }
     std::size_t count() {
         const std::lock_guard lock(mutex);
@@ -71,7 +72,7 @@ struct Path final : FramedLane::Owner {
     std::mutex mutex;
     std::vector<std::int64_t> came;
     std::string reason;
-    std::function<void()> on_message, on_read;
+    std::function<void()> on_message, on_read, on_over;
 };
 
 /// Blocks whoever passes while it is shut.
@@ -126,7 +127,7 @@ class FramedLaneTest : public ::testing::TestWithParam<std::chrono::microseconds
                 [its](std::string_view proof) {
                     return direct::proves(proof, *its, direct::Prover::EntityManager, kKey);
                 }),
-            transport::OutboxLimits{}, nullptr, clock, path);
+            transport::OutboxLimits{}, waits, clock, path);
         lane->start(timeout);
         return lane;
     }
@@ -170,6 +171,7 @@ class FramedLaneTest : public ::testing::TestWithParam<std::chrono::microseconds
     FramedLane::Speaks speaks = [](direct::lane::Wire& socket) {
         return std::make_unique<direct::lane::PlainChannel>(socket);
     };
+    direct::lane::LaneOutbox::Waits waits;
     SeededRandom random{1};
     direct::Claim claim{Lane::Data, {1, 2}, Id128::random(random), Id128::random(random), {}};
     std::shared_ptr<LaneReaders> readers = std::make_shared<LaneReaders>(clock, GetParam());
@@ -504,6 +506,28 @@ TEST_P(FramedLaneTest, ItEndsFromAnyThreadAndOnce) {
     const auto late = std::make_shared<Path>();
     const auto none = begin(late);
     EXPECT_TRUE(late->over) << "there are no readers left";
+}
+
+TEST_P(FramedLaneTest, AnOwnerThatIsLetGoOfWhileItEndsIsToldOfTheEnd) {
+    auto path = std::make_shared<Path>();
+    bool told = false, something_waits = false;
+    path->on_over = [&] { told = true; };
+    // As another thread does that closes the path: the end begins, and what waited goes, before the owner
+    // is told.
+    waits = [&](std::size_t) {
+        something_waits = true;
+        return std::shared_ptr<void>(nullptr, [&](void*) { path = nullptr; });
+    };
+    const auto lane = begin(path);
+    const auto manager = admit();
+    ASSERT_TRUE(waitUntil([&] { return path->open.load(); }));
+    const auto content = std::make_shared<const std::string>(1'000'000, 'x');
+    for (int i = 0; i < 40 && !something_waits; ++i) lane->send(Keeping::Kept, {}, content);
+    ASSERT_TRUE(something_waits);
+    ASSERT_TRUE(path);
+    lane->end("enough");
+    EXPECT_FALSE(path);
+    EXPECT_TRUE(told);
 }
 
 INSTANTIATE_TEST_SUITE_P(Threads, LaneReadersTest, kSpins, kSpinName);

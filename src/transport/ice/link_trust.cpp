@@ -62,9 +62,9 @@ std::optional<std::string> notServer(const Ice::Connection& connection, Kind kin
 LinkTrust::LinkTrust(const Clock& clock, Note note, audit::AuditTrail* trail)
     : note_(std::move(note)), trail_(audit::orNone(trail)), clock_(clock) {}
 
-void LinkTrust::admit(const Ice::ObjectAdapter& adapter, std::vector<Kind> kinds, Bare bare) {
+void LinkTrust::admit(const Ice::ObjectAdapter& adapter, std::vector<Kind> kinds) {
     const std::lock_guard lock(mutex_);
-    doors_[adapter.getName()] = {std::move(kinds), bare};
+    doors_[adapter.getName()] = std::move(kinds);
     for (const auto& endpoint : listenedEndpoints(adapter)) ports_.insert(endpoint.port);
 }
 
@@ -86,29 +86,25 @@ void LinkTrust::guard(const std::shared_ptr<Ice::Communicator>& communicator, El
             ours = ports_.contains(portOf(local));
         }
         if (!ours) return elsewhere ? elsewhere(peer, why) : void();
-        ++refused_;  // the log has it
-        const auto what = "link between servers: a connection was refused: " + why;
-        trail_.note(
-            {.kind = audit::Kind::Refusal, .peer = peer, .what = what, .outcome = "PERMISSION_DENIED"});
+        record(peer, {}, "a connection was refused: " + why);  // the log has it
     });
 }
 
 bool LinkTrust::mayCome(const std::string& adapter, const std::string& peer,
                         const std::optional<PeerCertificate>& certificate) {
-    Door door;
+    std::vector<Kind> kinds;
     {
         const std::lock_guard lock(mutex_);
         const auto found = doors_.find(adapter);
         if (found == doors_.end()) return true;  // its gate says what it expects, and why not
-        door = found->second;
+        kinds = found->second;
     }
-    if (!certificate && door.bare == Bare::Judged) return true;
     const auto kind = certificate ? certificates::kindOf(certificate->unit) : std::nullopt;
-    if (kind && std::find(door.kinds.begin(), door.kinds.end(), *kind) != door.kinds.end()) return true;
+    if (kind && std::find(kinds.begin(), kinds.end(), *kind) != kinds.end()) return true;
     refuse(peer, certificate ? certificate->name : std::string(),
            "a connection to " + adapter + " was refused: the certificate " +
                (certificate ? "is that of " + told(*certificate) : std::string("was not shown")) +
-               "; expected one of the kind " + listed(door.kinds));
+               "; expected one of the kind " + listed(kinds));
     return false;
 }
 
@@ -156,8 +152,12 @@ void LinkTrust::disconnect(const Ice::Current& current, const std::string& why) 
 }
 
 void LinkTrust::refuse(const std::string& peer, const std::string& name, const std::string& why) {
-    ++refused_;
+    record(peer, name, why);
     if (lines_.admit(clock_.now())) note_("audit: link between servers, " + peer + ": " + why);
+}
+
+void LinkTrust::record(const std::string& peer, const std::string& name, const std::string& why) {
+    ++refused_;
     const auto what = "link between servers: " + why;
     trail_.note({.kind = audit::Kind::Refusal,
                  .name = name,

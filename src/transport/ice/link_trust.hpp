@@ -44,17 +44,12 @@ std::optional<std::string> notServer(const Ice::Connection& connection, certific
 class LinkTrust {
   public:
     using Note = std::function<void(const std::string& line)>;
-    enum class Bare : std::uint8_t {
-        Refused,
-        Judged  ///< whoever shows no certificate is let in as far as IceSSL does, and somebody else decides
-    };
 
     /// `trail` is told of each refusal; null: nobody is.
     LinkTrust(const Clock& clock, Note note, audit::AuditTrail* trail);
 
     /// Only certificates of these kinds may connect to this adapter. Before it is activated.
-    void admit(const Ice::ObjectAdapter& adapter, std::vector<certificates::Kind> kinds,
-               Bare bare = Bare::Refused);
+    void admit(const Ice::ObjectAdapter& adapter, std::vector<certificates::Kind> kinds);
     /// Has IceSSL ask. Before the communicator has adapters that are active, or connections. `elsewhere` is
     /// told of connections that IceSSL itself has refused at other ports than those of links.
     using Elsewhere = std::function<void(const std::string& peer, const std::string& why)>;
@@ -75,13 +70,10 @@ class LinkTrust {
     std::uint64_t refused() const { return refused_.load(std::memory_order_relaxed); }
 
   private:
-    struct Door {
-        std::vector<certificates::Kind> kinds;
-        Bare bare = Bare::Refused;
-    };
     bool mayCome(const std::string& adapter, const std::string& peer,
                  const std::optional<PeerCertificate>& certificate);
     void refuse(const std::string& peer, const std::string& name, const std::string& why);
+    void record(const std::string& peer, const std::string& name, const std::string& why);
     void disconnect(const Ice::Current& current, const std::string& why);
 
     const Note note_;
@@ -90,7 +82,8 @@ class LinkTrust {
     RateLimit lines_{10};
     std::atomic<std::uint64_t> refused_{0};
     std::mutex mutex_;
-    std::map<std::string, Door> doors_;                          // by the adapter's name; guarded by mutex_
+    /// Who may come, by the adapter's name. Guarded by mutex_.
+    std::map<std::string, std::vector<certificates::Kind>> doors_;
     std::set<std::uint16_t> ports_;                              // of those adapters; guarded by mutex_
     std::map<const Ice::Connection*, PeerCertificate> callers_;  // of open connections; guarded by mutex_
 };

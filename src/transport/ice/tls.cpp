@@ -129,12 +129,12 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
 
   private:
     void refused(const std::string& message) {
-        const auto text = said(message);
         if (message.find(kRefusedByUs) != std::string::npos) return;
-        const auto* const means = meaningOf(message) != nullptr ? meaningOf(message) : kWithoutReason;
+        const auto* means = meaningOf(message);
+        if (means == nullptr) means = kWithoutReason;
         const auto peer = addressIn(message, "remote");
         if (limit_.admit(clock_.now()))
-            log()->warn("TLS: a connection from {} was refused: {} ({})", peer, means, text);
+            log()->warn("TLS: a connection from {} was refused: {} ({})", peer, means, said(message));
         Refused tell;
         {
             const std::lock_guard lock(mutex_);
