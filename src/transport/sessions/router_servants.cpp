@@ -175,7 +175,8 @@ std::shared_ptr<Glacier2::SessionPrx> CertificateSessionManagerServant::create(
 
 std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
                                                      const std::string& endpoint, RouterDoor& door) {
-    auto adapter = listen(communicator, name, endpoint, kThreads);
+    // Until a router has a session here (RouterConnections::admit()).
+    auto adapter = listen(communicator, name, endpoint, kThreads, Idle::ClosedAfterASecond);
     adapter->add(std::make_shared<PermissionsVerifierServant>(door),
                  Ice::stringToIdentity(kPermissionsVerifier));
     adapter->add(std::make_shared<SessionManagerServant>(door), Ice::stringToIdentity(kSessionManager));
