@@ -452,6 +452,164 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
     EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
 }
 
+/// An entity server of its own certificate that is nothing else: it may call, and says what it is told to.
+class EntitiesOfOthers : public Links {
+  protected:
+    struct Stranger {
+        Ice::CommunicatorHolder communicator;
+        std::shared_ptr<FrontEndPrx> at_front_end, signals_at_front_end;
+        std::shared_ptr<EntityPrx> at_entity_server, signals_at_entity_server;
+    };
+    Stranger stranger(const std::string& name) const {
+        Stranger its;
+        its.communicator = communicator(issued(Kind::EntityServer, name));
+        const auto at = [&](const std::string& identity, int port) {
+            return its.communicator->stringToProxy(identity + ":" + ssl(port));
+        };
+        its.at_front_end = Ice::uncheckedCast<FrontEndPrx>(at("FrontEndServerStraight/fe1", kFrontEnd));
+        its.signals_at_front_end =
+            Ice::uncheckedCast<FrontEndPrx>(at("FrontEndServerStraight/fe1", kFrontEndSignal));
+        its.at_entity_server = Ice::uncheckedCast<EntityPrx>(at("EntityServerStraight/es1", kEntityServer));
+        its.signals_at_entity_server =
+            Ice::uncheckedCast<EntityPrx>(at("EntityServerStraight/es1", kEntityServerSignal));
+        return its;
+    }
+    /// es1 is told again, because a server that says nothing more is soon given up.
+    static void has(const Stranger& its, const std::string& name, const std::string& entity) {
+        Axon::CommUtil::ServerAnnouncement self{};
+        self.name = name;
+        self.instance = "one";
+        its.at_entity_server->entityServerUpdate(self, {entity});
+    }
+    /// The connections of `proxy` and the number of refusals before and after `call`, which is refused
+    /// because of `why` without an end to the connection. The log has a bound for each second.
+    template <class Proxy>
+    static void isDropped(const server::Server& by, const std::shared_ptr<Proxy>& proxy,
+                          const std::function<void()>& call, const std::string& why) {
+        const auto connection = proxy->ice_getConnection();
+        EXPECT_TRUE(isRefused(
+            by,
+            [&] {
+                call();  // twoway: it is over when this returns
+                return false;
+            },
+            why))
+            << why << "\n"
+            << kLog->all();
+        EXPECT_EQ(proxy->ice_getConnection(), connection) << "it is not disconnected";
+        EXPECT_NO_THROW(connection->throwException());
+    }
+};
+
+TEST_F(EntitiesOfOthers, AreNotSpokenForToClients) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    const auto es9 = stranger("es9");
+    Axon::CommUtil::Header head{};
+    head.sender.id = client->facts.me.id;
+    head.entity = kFirst;
+    head.msgType = kMsgText;
+    head.seq = 77;
+    using Axon::CommUtil::Lane::Data;
+    using Axon::CommUtil::Lane::Signal;
+    const auto which = [](const std::string& what) {
+        return "the entity-server 'es9' " + what + " the entity '" + kFirst + "', which the server 'es1' has";
+    };
+    isDropped(
+        *fe1, es9.at_front_end, [&] { es9.at_front_end->entityMsg(Data, head, toRange("forged")); },
+        which("sends a message of"));
+    isDropped(
+        *fe1, es9.signals_at_front_end,
+        [&] { es9.signals_at_front_end->entityMsg(Signal, head, toRange("forged")); },
+        which("sends a message of"));
+    isDropped(
+        *fe1, es9.at_front_end, [&] { es9.at_front_end->entityMsgDataSeq(head, toRange("forged")); },
+        which("sends data of"));
+    const auto code = static_cast<int>(RefusalCode::NotConnected);
+    isDropped(
+        *fe1, es9.at_front_end, [&] { es9.at_front_end->entityRefusal(head, code, "forged"); },
+        which("refuses in the name of"));
+    EXPECT_TRUE(audited("fe1", which("sends a message of"))) << trailOf("fe1");
+    EXPECT_TRUE(audited("fe1", which("refuses in the name of"))) << trailOf("fe1");
+
+    // What it may say on the same connection: that it does not know the entity, and what nobody else has.
+    es9.at_front_end->entityRefusal(head, static_cast<int>(RefusalCode::UnknownEntity), "it left");
+    EXPECT_TRUE(waitUntil([&] { return client->log.has("refused"); })) << "the entity has left that server";
+    head.entity = kSecond;
+    es9.at_front_end->entityMsg(Data, head, toRange("not yet told"));
+    EXPECT_TRUE(waitUntil([&] { return client->log.has(std::string("data msg ") + kSecond); }));
+    EXPECT_EQ(client->log.count("refused"), 1U);
+    EXPECT_FALSE(client->log.has(std::string("data msg ") + kFirst + " forged"));
+    EXPECT_FALSE(client->log.has(std::string("signal msg ") + kFirst + " forged"));
+    EXPECT_FALSE(client->log.has("data 77"));
+
+    robot->dataOneway()->sendToClient(transport::toIce(robot->headTo(client->facts.me.id)), toRange("yes"));
+    EXPECT_TRUE(waitUntil([&] { return client->log.has(std::string("data msg ") + kFirst + " yes"); }));
+    robot->dataOneway()->sendToClientDataSeq(transport::toIce(robot->headTo(client->facts.me.id)),
+                                             toRange("data"));
+    EXPECT_TRUE(waitUntil([&] { return client->log.has("data 0"); })) << "its own server speaks for it";
+    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+}
+
+TEST_F(EntitiesOfOthers, AreNotSpokenForToEntities) {
+    startServers();
+    const auto robot = newRobot();
+    const auto es2 = stranger("es2");
+    const auto es9 = stranger("es9");
+    Axon::CommUtil::Header head{};
+    head.sender.id = kSecond;
+    head.sender.name = "Second";
+    head.entity = kFirst;
+    head.msgType = kMsgText;
+    isDropped(
+        *es1, es9.at_entity_server,
+        [&] {
+            has(es2, "es2", kSecond);
+            es9.at_entity_server->peerMsg(head, toRange("forged"));
+        },
+        std::string("the entity-server 'es9' sends a message of the entity '") + kSecond +
+            "', which the server 'es2' has");
+    isDropped(
+        *es1, es9.signals_at_entity_server,
+        [&] {
+            has(es2, "es2", kSecond);
+            es9.signals_at_entity_server->peerMsg(head, toRange("forged"));
+        },
+        "which the server 'es2' has");
+    head.sender.id = kFirst;
+    isDropped(
+        *es1, es9.at_entity_server, [&] { es9.at_entity_server->peerMsg(head, toRange("forged")); },
+        "which the server 'es1' has");
+    EXPECT_TRUE(audited("es1", "which the server 'es2' has")) << trailOf("es1");
+
+    // A refusal has the head of the message that is refused.
+    head.entity = kSecond;
+    const auto code = static_cast<int>(RefusalCode::Overloaded);
+    isDropped(
+        *es1, es9.at_entity_server,
+        [&] {
+            has(es2, "es2", kSecond);
+            es9.at_entity_server->peerRefusal(head, code, "forged");
+        },
+        "the entity-server 'es9' refuses in the name of the entity '" + std::string(kSecond));
+    EXPECT_FALSE(robot->log.has("refused"));
+    es9.at_entity_server->peerRefusal(head, static_cast<int>(RefusalCode::UnknownEntity), "it left");
+    EXPECT_TRUE(waitUntil([&] { return robot->log.count("refused") == 1; }));
+
+    has(es2, "es2", kSecond);
+    es2.at_entity_server->peerRefusal(head, code, "slow");
+    EXPECT_TRUE(waitUntil([&] { return robot->log.count("refused") == 2; }));
+    head.sender.id = kSecond;
+    head.entity = kFirst;
+    es2.at_entity_server->peerMsg(head, toRange("step"));
+    EXPECT_TRUE(waitUntil([&] { return robot->log.has("msg Second TEXT step"); }));
+    EXPECT_FALSE(robot->log.has("msg Second TEXT forged"));
+    EXPECT_FALSE(robot->log.has("signal msg Second TEXT forged"));
+}
+
 TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
     startStorm();
     startServers();

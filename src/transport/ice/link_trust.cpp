@@ -141,6 +141,21 @@ bool LinkTrust::speaksAs(const Ice::Current& current, const std::string& name, c
     return false;
 }
 
+bool LinkTrust::mayTellOf(const Ice::Current& current, const std::string& entity, const std::string* at,
+                          const char* what) {
+    if (at == nullptr) return true;
+    const auto its = callerOf(current.con);
+    if (its.name == *at) return true;
+    if (!strays_.admit(clock_.now())) {
+        ++refused_;
+        return false;
+    }
+    refuse(current.con ? DirectConnection::peerOf(*current.con) : std::string(), its.name,
+           told(its) + " " + what + " the entity " + shown(entity) + ", which the server " + shown(*at) +
+               " has; the message is dropped");
+    return false;
+}
+
 void LinkTrust::noteWrongServer(const std::string& called, const std::string& why) {
     refuse(called, {}, called + " is not used: the certificate that it shows " + why);
 }

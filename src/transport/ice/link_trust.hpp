@@ -38,7 +38,8 @@ std::optional<std::string> notServer(const Ice::Connection& connection, certific
 /// whether the caller may call this operation and speak in this name, and whoever opens a connection asks
 /// whether the right server has answered.
 ///
-/// Every refusal is counted; the log has at most ten in a second, the audit trail as many as it takes.
+/// Every refusal is counted; the log has at most ten in a second, the audit trail as many as it takes, but of
+/// messages whose senders stay connected ten in a second.
 /// Threads: any. Lifetime: outlives the communicators that it guards. Bound: it remembers one name for each
 /// connection that is open.
 class LinkTrust {
@@ -62,6 +63,12 @@ class LinkTrust {
     /// Whether the caller speaks in its own name; one that does not is noted and disconnected. `what`: for
     /// people, such as "announced itself as".
     bool speaksAs(const Ice::Current& current, const std::string& name, const char* what);
+    /// Whether the caller is the server that has this entity, as far as this one knows (`at`; null: no server
+    /// has it, and anybody may speak for it). One that is another server is noted, and its message is to be
+    /// dropped; it stays connected, because an entity that moves is known here a little later than there.
+    /// `what`: for people, such as "sends a message of".
+    bool mayTellOf(const Ice::Current& current, const std::string& entity, const std::string* at,
+                   const char* what);
 
     /// A connection that this server has opened leads to somebody else. `why` as of notServer().
     void noteWrongServer(const std::string& called, const std::string& why);
@@ -80,6 +87,7 @@ class LinkTrust {
     audit::AuditTrail& trail_;
     const Clock& clock_;
     RateLimit lines_{10};
+    RateLimit strays_{10};  // messages of others' entities that are noted in a second
     std::atomic<std::uint64_t> refused_{0};
     std::mutex mutex_;
     /// Who may come, by the adapter's name. Guarded by mutex_.
