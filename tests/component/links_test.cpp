@@ -8,6 +8,7 @@
 #include <spdlog/spdlog.h>
 #include <sys/socket.h>
 
+#include <atomic>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -25,6 +26,8 @@
 #include "server/server.hpp"
 #include "support/log_lines.hpp"
 #include "support/logged_program.hpp"
+#include "transport/ice/adapter.hpp"
+#include "transport/sessions/router_servants.hpp"
 
 namespace axon::test {
 namespace {
@@ -781,6 +784,178 @@ TEST_F(Links, MisconfigurationIsToldWithItsMend) {
     its.ice_properties = issued(Kind::Server, loopbackAddress());
     EXPECT_THAT(complaint(its), HasSubstr("expected that of the front-end 'fe1'"));
 }
+
+/// Two front-end servers, each asked by routers for sessions of clients, which know each other by
+/// Server.Peer.
+class LinksOfPeers : public Links {
+  protected:
+    ~LinksOfPeers() override { fe2.reset(); }
+    server::ServerSettings forRouters(const std::string& name) const {
+        auto its = settings(ServerRole::FrontEnd, name);
+        its.client_router_endpoint = "ssl://" + loopbackAddress() + ":0";
+        if (name != "fe1") its.topic_endpoint = its.topic_signal_endpoint = ssl(0);
+        return its;
+    }
+    static std::string manager(const std::string& address) {
+        return "SessionManager:" + transport::tcpEndpoint(address);
+    }
+    /// What a router is told that asks fe2 for a session with this token.
+    std::string refusalOf(const std::string& token) const {
+        const auto router = communicator(issued(Kind::Router, loopbackAddress()));
+        const auto nobody =
+            Ice::uncheckedCast<Glacier2::SessionControlPrx>(router->stringToProxy("nobody:" + ssl(9)));
+        auto context = transport::contractContext();
+        context[transport::kContextToken] = token;
+        try {
+            Ice::uncheckedCast<Glacier2::SessionManagerPrx>(
+                router->stringToProxy(manager(fe2->clientRouterAddress())))
+                ->create("client1", nobody, context);
+        } catch (const Glacier2::CannotCreateSessionException& refused) {
+            return refused.reason;
+        } catch (const Ice::Exception& error) {
+            return error.ice_id();
+        }
+        return "created";
+    }
+#ifdef GLACIER2ROUTER
+    /// A glacier2router in front of this server; the proxy of it.
+    std::string startRouter(const server::Server& server, int port) {
+        const auto at = ssl(port);
+        const auto its = transport::tcpEndpoint(server.clientRouterAddress());
+        const auto config = folder / ("router-" + std::to_string(port) + ".cfg");
+        std::ofstream out(config);
+        out << "Glacier2.InstanceName=Axon.Clients\nGlacier2.Client.Endpoints=" << at
+            << "\nGlacier2.Server.Endpoints=" << ssl(port + 1)
+            << "\nGlacier2.SessionManager=SessionManager:" << its
+            << "\nGlacier2.PermissionsVerifier=PermissionsVerifier:" << its
+            << "\nGlacier2.Filter.Identity.Accept=Axon.Clients/none\nGlacier2.Client.Buffered=0\n"
+               "Glacier2.Server.Buffered=0\nGlacier2.Client.ForwardContext=1\n"
+               "Glacier2.Server.ForwardContext=1\nIce.ThreadPool.Server.Size=4\n"
+               "Ice.ThreadPool.Server.Serialize=1\nIce.ThreadPool.Client.Size=4\n"
+               "Ice.ThreadPool.Client.Serialize=1\nIce.ACM.Client.Close=0\nIce.MessageSizeMax=4096\n";
+        for (const auto& [key, value] : issued(Kind::Router, loopbackAddress()))
+            out << key << '=' << value << '\n';
+        out.close();
+        routers.push_back(std::make_unique<LoggedProgram>(
+            std::vector<std::string>{GLACIER2ROUTER, "--Ice.Config=" + config.string()},
+            folder / ("router-" + std::to_string(port) + ".log")));
+        EXPECT_TRUE(waitUntil([port] { return listens(port); }, 10s)) << routers.back()->text();
+        return "Axon.Clients/router:" + at;
+    }
+    std::vector<std::unique_ptr<LoggedProgram>> routers;
+#endif
+    std::unique_ptr<server::Server> fe2;
+};
+
+/// Takes any request for a session, and counts them.
+class AnySessionManager final : public Glacier2::SessionManager {
+  public:
+    std::shared_ptr<Glacier2::SessionPrx> create(std::string, std::shared_ptr<Glacier2::SessionControlPrx>,
+                                                 const Ice::Current&) override {
+        ++asked;
+        throw Glacier2::CannotCreateSessionException("it was asked");
+    }
+    std::atomic<int> asked{0};
+};
+
+TEST_F(LinksOfPeers, OnlyTheServerOfThatKindAndNameIsAskedForASession) {
+    const auto impostor = [&](Kind kind, const std::string& name) {
+        return communicator(issued(kind, name));
+    };
+    struct Case {
+        Kind kind;
+        std::string name, why;
+    };
+    const std::vector<Case> cases{
+        {Kind::Server, loopbackAddress(), "is that of the server '" + loopbackAddress()},
+        {Kind::EntityServer, "fe1", "is that of the entity-server 'fe1'"},
+        {Kind::FrontEnd, "fe9", "is that of the front-end 'fe9'; expected that of the front-end 'fe1'"},
+        {Kind::Router, loopbackAddress(), "is that of the router"},
+        {Kind::FrontEnd, "fe1", ""}};
+    for (const auto& one : cases) {
+        SCOPED_TRACE(toString(one.kind) + (" " + one.name));
+        const auto its = impostor(one.kind, one.name);
+        const auto adapter = its->createObjectAdapterWithEndpoints("Impostor", ssl(0));
+        const auto asked = std::make_shared<AnySessionManager>();
+        adapter->add(asked, Ice::stringToIdentity("SessionManager"));
+        adapter->activate();
+        auto of_second = forRouters("fe2");
+        of_second.neighbours["fe1"] = manager(transport::addressOf(*adapter));
+        fe2 = std::make_unique<server::Server>(of_second);
+        const auto told = refusalOf("fe1/token");
+        if (one.why.empty()) {
+            EXPECT_EQ(told, "it was asked");
+            EXPECT_EQ(asked->asked, 1);
+            EXPECT_EQ(refused(*fe2), 0);
+        } else {
+            EXPECT_THAT(told,
+                        HasSubstr("the server at Server.Peer.fe1 is not used: the certificate that it"));
+            EXPECT_THAT(told, HasSubstr(one.why));
+            EXPECT_THAT(told, HasSubstr("whose Server.Name is fe1"));
+            EXPECT_EQ(asked->asked, 0);
+            EXPECT_EQ(refused(*fe2), 1);
+            EXPECT_TRUE(audited("fe2", one.why)) << trailOf("fe2");
+        }
+        fe2.reset();
+    }
+}
+
+TEST_F(LinksOfPeers, TwoNamesAtOneAddressAreRefused) {
+    auto its = forRouters("fe2");
+    its.neighbours["fe1"] = "SessionManager:" + ssl(10434);
+    its.neighbours["fe3"] = "SessionManager:" + ssl(10435) + ":" + ssl(10434);
+    const auto complaint = [&]() -> std::string {
+        try {
+            const server::Server server(its);
+        } catch (const std::runtime_error& error) {
+            return error.what();
+        }
+        return "accepted";
+    };
+    EXPECT_THAT(complaint(), HasSubstr("Server.Peer.fe1 and Server.Peer.fe3 have one address"));
+    EXPECT_THAT(complaint(),
+                HasSubstr("fix: give each the address of its own FrontEndServerRouter.Endpoints"));
+    its.neighbours["fe3"] = "SessionManager:" + ssl(10435);
+    EXPECT_EQ(complaint(), "accepted");
+}
+
+TEST_F(LinksOfPeers, TheNameIsCheckedAlsoWhereTwoLeadToOneServerByOtherNamesOfItsMachine) {
+    in_addr address{};
+    inet_pton(AF_INET, loopbackAddress().c_str(), &address);
+    std::ostringstream other_name;
+    other_name << "0x" << std::hex << ntohl(address.s_addr);
+    fe1 = std::make_unique<server::Server>(forRouters("fe1"));
+    auto of_second = forRouters("fe2");
+    of_second.ice_properties["IceSSL.CheckCertName"] = "0";  // the certificate has not that name
+    const auto right = manager(fe1->clientRouterAddress());
+    auto alias = right;
+    alias.replace(alias.find(loopbackAddress()), loopbackAddress().size(), other_name.str());
+    of_second.neighbours = {{"fe1", right}, {"fe3", alias}};
+    fe2 = std::make_unique<server::Server>(of_second);
+    // The router cannot be called back, which fe1 finds out: it was asked.
+    const auto of_first = [&] { return refusalOf("fe1/token"); };
+    EXPECT_THAT(of_first(), testing::Not(HasSubstr("Server.Peer"))) << kLog->all();
+    EXPECT_THAT(refusalOf("fe3/token"),
+                HasSubstr("the front-end 'fe1'; expected that of the front-end 'fe3'"));
+    EXPECT_THAT(of_first(), testing::Not(HasSubstr("Server.Peer"))) << "the other's connection is its own";
+}
+
+#ifdef GLACIER2ROUTER
+TEST_F(LinksOfPeers, TheSecondSessionBehindARouterGoesToTheServerThatHasTheFirst) {
+    fe1 = std::make_unique<server::Server>(forRouters("fe1"));
+    auto of_second = forRouters("fe2");
+    of_second.neighbours["fe1"] = manager(fe1->clientRouterAddress());
+    fe2 = std::make_unique<server::Server>(of_second);
+    const auto to_first = startRouter(*fe1, 10440);
+    const auto to_second = startRouter(*fe2, 10442);
+    RawClient client(RawClient::Routers{to_first, to_second}, issued(Kind::Client, "client1"));
+    EXPECT_EQ(client.facts.token.rfind("fe1/", 0), 0U) << client.facts.token;
+    client.stop("");
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); })) << kLog->all();
+    EXPECT_EQ(refused(*fe1), 0) << kLog->all();
+    EXPECT_EQ(refused(*fe2), 0) << kLog->all();
+}
+#endif
 
 TEST_F(Links, ListenOnEveryAddressWithoutUsersWhereClientsDoNot) {
     auto its = settings(ServerRole::Entity, "es1");

@@ -64,6 +64,7 @@ class ServerRim {
             door_ = std::make_unique<RouterDoor>(
                 makeDoor<Kind>(data_lane_, data_adapter_, signal_lane_, signal_adapter_, *routers_));
             door_->neighbours = neighboursOf(*data, settings.neighbours);
+            door_->links = settings.links;
             router_adapter_ = listenForRouters(*data, kName + "Router", settings.router_endpoint, *door_);
             if (settings.links != nullptr)
                 settings.links->admit(*router_adapter_, {certificates::Kind::Router,
