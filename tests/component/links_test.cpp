@@ -6,9 +6,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <atomic>
+#include <cerrno>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -785,6 +788,91 @@ TEST_F(Links, MisconfigurationIsToldWithItsMend) {
     EXPECT_THAT(complaint(its), HasSubstr("expected that of the front-end 'fe1'"));
 }
 
+/// Somebody opens many connections to the ports for other servers, and does not finish a handshake.
+class FloodOfLinks : public Links {
+  protected:
+    FloodOfLinks() {
+        // A server lets a quarter of its descriptors be strangers', and half of these be of one address.
+        ::getrlimit(RLIMIT_NOFILE, &before_);
+        const rlimit fewer{1024, before_.rlim_max};
+        EXPECT_EQ(::setrlimit(RLIMIT_NOFILE, &fewer), 0);
+    }
+    ~FloodOfLinks() override {
+        for (const int one : flood) ::close(one);
+        ::setrlimit(RLIMIT_NOFILE, &before_);
+    }
+    static constexpr std::size_t kOfOneAddress = 128;
+    void floodOf(std::size_t count, int port) {
+        for (std::size_t i = 0; i < count; ++i) {
+            const int its = connectedTo(port);
+            ASSERT_GE(its, 0);
+            // The beginning of a TLS handshake, for half of them.
+            if (i % 2 == 0) EXPECT_EQ(::send(its, "\x16\x03\x01\x02", 4, MSG_NOSIGNAL), 4);
+            flood.push_back(its);
+        }
+    }
+    /// How many stand; each of the newest sends one more byte.
+    std::size_t open() {
+        std::size_t found = 0;
+        for (std::size_t i = 0; i < flood.size(); ++i) {
+            char byte = 0;
+            const auto got = ::recv(flood[i], &byte, 1, MSG_DONTWAIT);
+            const bool stands = got > 0 || (got < 0 && (errno == EAGAIN || errno == EWOULDBLOCK));
+            found += stands ? 1 : 0;
+            if (stands && i % 2 == 0 && i + 8 >= flood.size()) ::send(flood[i], "\0", 1, MSG_NOSIGNAL);
+        }
+        return found;
+    }
+    std::vector<int> flood;
+
+  private:
+    rlimit before_{};
+};
+
+TEST_F(FloodOfLinks, IsBoundedAndWhoeverFinishesNoHandshakeIsDisconnectedWhileHonestServersGoOn) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    const auto signals = openTo(kFrontEndSignal);
+    const auto messages = openTo(kFrontEnd);
+    ASSERT_FALSE(signals.empty());
+    ASSERT_FALSE(messages.empty());
+    floodOf(150, kFrontEnd);
+    floodOf(150, kFrontEndSignal);
+    EXPECT_TRUE(waitUntil([&] { return open() <= kOfOneAddress; }, 30s)) << open();
+    EXPECT_TRUE(logged("more than 128 of one address without a session")) << kLog->all();
+    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open() << " handshakes go on";
+    EXPECT_TRUE(waitUntil([&] { return kLog->has("no session in 10 s"); }, 30s)) << kLog->all();
+    EXPECT_TRUE(audited("fe1", "without a session")) << trailOf("fe1");
+    EXPECT_THAT(openTo(kFrontEndSignal), testing::IsSupersetOf(signals)) << "those of the server go on";
+    EXPECT_THAT(openTo(kFrontEnd), testing::IsSupersetOf(messages)) << "also where nothing is sent";
+    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_EQ(refused(*es1), 0);
+}
+
+TEST_F(FloodOfLinks, WithoutTlsIsBoundedToo) {
+    auto its = settings(ServerRole::FrontEnd, "fe1");
+    its.topic_endpoint = loopbackAddress() + ":" + std::to_string(kFrontEnd);
+    its.topic_signal_endpoint = loopbackAddress() + ":" + std::to_string(kFrontEndSignal);
+    its.topic_manager = "IceStorm/TopicManager:tcp -h 127.0.0.1 -p 10430";
+    fe1 = std::make_unique<server::Server>(its);
+    const auto neighbour = communicator({});
+    const auto proxy = neighbour->stringToProxy("FrontEndServerStraight/fe1:tcp -h " + loopbackAddress() +
+                                                " -p " + std::to_string(kFrontEnd));
+    proxy->ice_ping();
+    const auto connection = proxy->ice_getConnection();
+    floodOf(200, kFrontEnd);
+    EXPECT_TRUE(waitUntil([&] { return open() <= kOfOneAddress; }, 30s)) << open();
+    EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open();
+    EXPECT_NO_THROW(connection->throwException()) << "who has called is a server";
+    proxy->ice_ping();
+    EXPECT_EQ(proxy->ice_getConnection(), connection);
+}
+
 /// Two front-end servers, each asked by routers for sessions of clients, which know each other by
 /// Server.Peer.
 class LinksOfPeers : public Links {
@@ -950,6 +1038,8 @@ TEST_F(LinksOfPeers, TheSecondSessionBehindARouterGoesToTheServerThatHasTheFirst
     const auto to_second = startRouter(*fe2, 10442);
     RawClient client(RawClient::Routers{to_first, to_second}, issued(Kind::Client, "client1"));
     EXPECT_EQ(client.facts.token.rfind("fe1/", 0), 0U) << client.facts.token;
+    // Where servers send what is for its clients, by the file of its certificate.
+    EXPECT_FALSE(comesIn(issued(Kind::Client, "client1"), "nobody", ssl(10441))) << routers.front()->text();
     client.stop("");
     EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); })) << kLog->all();
     EXPECT_EQ(refused(*fe1), 0) << kLog->all();

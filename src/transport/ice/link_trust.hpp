@@ -41,7 +41,7 @@ std::optional<std::string> notServer(const Ice::Connection& connection, certific
 /// Every refusal is counted; the log has at most ten in a second, the audit trail as many as it takes, but of
 /// messages whose senders stay connected ten in a second.
 /// Threads: any. Lifetime: outlives the communicators that it guards. Bound: it remembers one name for each
-/// connection that is open.
+/// connection that is open, and one address for each that was open in the last minute.
 class LinkTrust {
   public:
     using Note = std::function<void(const std::string& line)>;
@@ -55,6 +55,10 @@ class LinkTrust {
     /// told of connections that IceSSL itself has refused at other ports than those of links.
     using Elsewhere = std::function<void(const std::string& peer, const std::string& why)>;
     void guard(const std::shared_ptr<Ice::Communicator>& communicator, Elsewhere elsewhere = {});
+
+    /// Whether the peer at this address ("10.0.0.7:50122") has shown the certificate of a kind that may come.
+    /// For ConnectionLimits, which asks of each connection while it is open, once a second at least.
+    bool hasCome(const std::string& peer);
 
     /// Who is at the other end of a connection to one of these adapters. Remembered until it closes.
     PeerCertificate callerOf(const std::shared_ptr<Ice::Connection>& connection);
@@ -92,7 +96,9 @@ class LinkTrust {
     std::mutex mutex_;
     /// Who may come, by the adapter's name. Guarded by mutex_.
     std::map<std::string, std::vector<certificates::Kind>> doors_;
-    std::set<std::uint16_t> ports_;                              // of those adapters; guarded by mutex_
+    std::set<std::uint16_t> ports_;  // of those adapters; guarded by mutex_
+    /// When it was asked for, or came, last: IceSSL tells of no end. Guarded by mutex_.
+    std::map<std::string, TimePoint> come_;
     std::map<const Ice::Connection*, PeerCertificate> callers_;  // of open connections; guarded by mutex_
 };
 
