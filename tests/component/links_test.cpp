@@ -19,6 +19,7 @@
 #include <iomanip>
 #include <iterator>
 #include <memory>
+#include <random>
 #include <set>
 #include <sstream>
 
@@ -65,7 +66,7 @@ class Links : public testing::Test {
   protected:
     Links() {
         kLog->clear();
-        ours.init(now(), false);
+        ours.init(now() - std::chrono::days{500}, false);  // long enough for a certificate that has expired
         others.init(now(), false);
     }
     ~Links() override {
@@ -871,6 +872,187 @@ TEST_F(FloodOfLinks, WithoutTlsIsBoundedToo) {
     EXPECT_NO_THROW(connection->throwException()) << "who has called is a server";
     proxy->ice_ping();
     EXPECT_EQ(proxy->ice_getConnection(), connection);
+}
+
+/// What comes to every port of a front-end server and of an entity server that speaks TLS, and is no
+/// handshake.
+class AbuseOfPorts : public FloodOfLinks {
+  protected:
+    struct Port {
+        std::string name, server;  // of the audit trail
+        int number;
+    };
+    static int portOf(const std::string& address) {
+        return std::stoi(address.substr(address.rfind(':') + 1));
+    }
+    std::vector<Port> ports() const {
+        return {{"other servers", "fe1", kFrontEnd},
+                {"signals of other servers", "fe1", kFrontEndSignal},
+                {"other servers", "es1", kEntityServer},
+                {"signals of other servers", "es1", kEntityServerSignal},
+                {"clients", "fe1", portOf(fe1->clientAddress(Lane::Data))},
+                {"signals of clients", "fe1", portOf(fe1->clientAddress(Lane::Signal))},
+                {"Entity Managers", "es1", portOf(es1->entityAddress(Lane::Data))},
+                {"signals of Entity Managers", "es1", portOf(es1->entityAddress(Lane::Signal))}};
+    }
+    /// Nothing that is accepted: what other protocols say, broken records of TLS, and noise.
+    static std::vector<std::string> rubbish() {
+        const auto record = [](const std::string& head, const std::string& rest) { return head + rest; };
+        std::vector<std::string> all{
+            std::string("IceP\x01\x00\x01\x00\x00\x00\x20\x00\x00\x00", 14),
+            "GET / HTTP/1.1\r\nHost: lab\r\n\r\n",
+            std::string("\x80\x2e\x01\x00\x02\x00\x15\x00\x00\x00\x10", 11),  // SSL 2
+            record(std::string("\x16\x03\x01\xff\xff", 5),
+                   std::string(70000, 'x')),                                       // longer than any record
+            record(std::string("\x16\x03\x01\x00\x00", 5), ""),                    // empty
+            record(std::string("\x15\x03\x03\x00\x02\x02\x28", 7), ""),            // an alert
+            record(std::string("\x17\x03\x03\x00\x10", 5), std::string(16, 'x')),  // data before a handshake
+            std::string(1, '\0'),
+            ""};
+        std::mt19937 random(7);
+        const auto noise = [&random](std::size_t bytes) {
+            std::string its;
+            for (std::size_t i = 0; i < bytes; ++i) its += static_cast<char>(random());
+            return its;
+        };
+        for (int i = 0; i < 20; ++i) all.push_back(noise(1 + random() % 600));
+        for (int i = 0; i < 20; ++i) {
+            const auto body = noise(4 + random() % 500);
+            const auto length = body.size() - random() % 4;  // and a little more than it says
+            all.push_back(record(std::string("\x16\x03\x01", 3), "") + static_cast<char>(length >> 8U) +
+                          static_cast<char>(length & 0xFFU) + "\x01" + body);
+        }
+        return all;
+    }
+    /// Sends it and nothing more; the own address, as the server sees it. Empty where the server goes on
+    /// talking.
+    static std::string refusedAddress(int port, const std::string& sent) {
+        const int its = connectedTo(port);
+        if (its < 0) return {};
+        sockaddr_in own{};
+        socklen_t size = sizeof own;
+        ::getsockname(its, reinterpret_cast<sockaddr*>(&own), &size);
+        char host[INET_ADDRSTRLEN] = {};
+        inet_ntop(AF_INET, &own.sin_addr, host, sizeof host);
+        ::send(its, sent.data(), sent.size(), MSG_NOSIGNAL);
+        ::shutdown(its, SHUT_WR);
+        const timeval patience{30, 0};
+        ::setsockopt(its, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+        std::string said;
+        char byte = 0;
+        ssize_t got = 0;
+        while ((got = ::recv(its, &byte, 1, 0)) == 1) said += byte;
+        const bool closed = got == 0 || errno == ECONNRESET;
+        ::close(its);
+        if (!closed || said.find("IceP") != std::string::npos) return {};
+        return std::string(host) + ":" + std::to_string(ntohs(own.sin_port));
+    }
+};
+
+TEST_F(AbuseOfPorts, NoRubbishComesInAndEachIsRecordedWithItsAddress) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    const auto all = rubbish();
+    for (const auto& port : ports()) {
+        SCOPED_TRACE("the port for " + port.name + " of " + port.server);
+        floodOf(2, port.number);  // half-open, one of them a byte at a time
+        std::vector<std::string> addresses;
+        for (std::size_t i = 0; i < all.size(); ++i) {
+            addresses.push_back(refusedAddress(port.number, all[i]));
+            EXPECT_FALSE(addresses.back().empty()) << "case " << i << " of " << all[i].size() << " bytes";
+        }
+        std::string missing;
+        EXPECT_TRUE(waitUntil(
+            [&] {
+                const auto trail = trailOf(port.server);
+                missing.clear();
+                for (std::size_t i = 0; i < all.size(); ++i)
+                    if (trail.find('"' + addresses[i] + '"') == std::string::npos)
+                        missing += " " + std::to_string(i);
+                return missing.empty();
+            },
+            20s))
+            << "not recorded:" << missing;
+        EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    }
+    EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open() << " half-open ones stand";
+    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+}
+
+TEST_F(AbuseOfPorts, NoCertificateThatIsNotValidComesIn) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    const auto ca = (ours.path() / "ca.cert.pem").string();
+    const auto expired = [&](Kind kind, const std::string& name) {
+        std::vector<std::string> names{name};
+        if (isNamedServer(kind)) names.push_back(loopbackAddress());
+        const auto properties = Ice::createProperties();
+        properties->load(
+            ours.issue({kind, names}, now() - std::chrono::days{400}, true).files.back().string());
+        return properties->getPropertiesForPrefix("Ice");
+    };
+    const auto foreign = [&](Kind kind, const std::string& name) {
+        auto its = issued(others, kind, name);
+        its["IceSSL.CAs"] = ca;
+        return its;
+    };
+    const Properties none{{"Ice.Plugin.IceSSL", "IceSSL:createIceSSL"}, {"IceSSL.CAs", ca}};
+    for (const auto& port : ports()) {
+        SCOPED_TRACE("the port for " + port.name + " of " + port.server);
+        const auto right = port.name.find("servers") != std::string::npos ? Kind::EntityServer
+                           : port.server == "fe1"                         ? Kind::Client
+                                                                          : Kind::Entity;
+        const struct {
+            const char* what;
+            Properties shown;
+            std::string why;
+        } cases[] = {{"expired", expired(right, "old"), "expired"},
+                     {"foreign", foreign(right, "stranger"), "the certificate is of another CA"},
+                     {"none", none, "no certificate was shown"}};
+        for (const auto& one : cases) {
+            SCOPED_TRACE(one.what);
+            kLog->clear();
+            EXPECT_TRUE(waitUntil(
+                [&] {
+                    EXPECT_FALSE(comesIn(one.shown, "somebody", ssl(port.number)));
+                    return waitUntil([&] { return kLog->has(one.why); }, 200ms);
+                },
+                10s))
+                << kLog->all();
+            EXPECT_TRUE(audited(port.server, one.why)) << trailOf(port.server);
+        }
+    }
+    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+}
+
+TEST_F(AbuseOfPorts, AMessageThatIsTooLongEndsTheConnectionOfItsSenderOnly) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    for (const auto& port : ports()) {
+        SCOPED_TRACE("the port for " + port.name + " of " + port.server);
+        const auto right = port.name.find("servers") != std::string::npos
+                               ? port.server == "fe1" ? Kind::EntityServer : Kind::FrontEnd
+                           : port.server == "fe1" ? Kind::Client
+                                                  : Kind::Entity;
+        auto shown = issued(right, "sender");
+        shown["Ice.MessageSizeMax"] = "0";  // it sends what it likes
+        const auto its = communicator(shown);
+        const auto proxy = its->stringToProxy("somebody:" + ssl(port.number))->ice_invocationTimeout(20000);
+        Ice::ByteSeq out;
+        EXPECT_THROW(
+            proxy->ice_invoke("ice_ping", Ice::OperationMode::Normal, Ice::ByteSeq(5 * 1024 * 1024), out),
+            Ice::ConnectionLostException);
+    }
+    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
 }
 
 /// Two front-end servers, each asked by routers for sessions of clients, which know each other by
