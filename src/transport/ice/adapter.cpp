@@ -80,6 +80,10 @@ std::vector<Endpoint> listenedEndpoints(const Ice::ObjectAdapter& adapter) {
     return withoutWildcards(endpointsOf(adapter.getEndpoints()));
 }
 
+std::vector<Endpoint> endpointsOf(const Ice::ObjectPrx& proxy) {
+    return endpointsOf(proxy.ice_getEndpoints());
+}
+
 std::string addressOf(const Ice::ObjectAdapter& adapter) {
     std::string text;
     for (const auto& endpoint : endpointsOf(adapter.getEndpoints()))

@@ -30,6 +30,8 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
 std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter);
 /// Where it listens; an empty host where that is every address of this machine.
 std::vector<Endpoint> listenedEndpoints(const Ice::ObjectAdapter& adapter);
+/// Where whoever calls this proxy connects; none where it names no address.
+std::vector<Endpoint> endpointsOf(const Ice::ObjectPrx& proxy);
 /// "127.0.0.1:10410", and with ',' between them where it listens at several: "ssl://…,127.0.0.1:10410".
 std::string addressOf(const Ice::ObjectAdapter& adapter);
 
