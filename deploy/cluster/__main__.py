@@ -14,12 +14,14 @@ from configuration import BASE_PORT, LOOPBACK, SERVERS_MAX, Misconfigured, read_
 EPILOG = f"""\
   axon-cluster up                                    one server of each kind
   axon-cluster up --front-ends 2 --entity-servers 2
+  axon-cluster up --grid                             IceGrid starts them, and starts again what ends
   axon-cluster status
   axon-cluster kill fe1                              kill -9, to see what happens
   axon-cluster restart fe1
   axon-cluster down
 
-Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}.
+Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}; with --grid icegridregistry,
+icegridnode, and icestorm1 … icestorm3 in place of icestorm.
 Exit status: 0 done (status: everything runs); 1 a program did not start or is not running; 2 wrong options, a port that is
 in use, or a missing package. docs/how-to/deploy.md explains every file of the folder."""
 
@@ -43,6 +45,7 @@ def parse(arguments):
     up.add_argument("--base-port", type=int, metavar="P", help=f"first of 200 ports ({BASE_PORT}); 0 = a free range")
     up.add_argument("--listen", metavar="ADDRESS", help=f"address on which the two routers listen ({LOOPBACK}); everything else listens on loopback")
     up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="all connections use TLS, with certificates: those of clients and entities, and those between the programs")
+    up.add_argument("--grid", action=argparse.BooleanOptionalAction, help="a registry and a node of IceGrid start the programs, with three replicas of IceStorm, and start again what ends (packages zeroc-icegrid, zeroc-ice-utils)")
     add("status", "Shows which programs run, with their ports and logs.").add_argument("--json", action="store_true")
     add("kill", "Kills a program with SIGKILL.").add_argument("name")
     add("restart", "Ends a program and starts it again.").add_argument("name")
@@ -58,7 +61,7 @@ def in_folder(options):
 def up(cluster, options):
     begin = datetime.datetime.now()
     done = cluster.up({"front_ends": options.front_ends, "entity_servers": options.entity_servers,
-                       "base_port": options.base_port, "listen": options.listen, "tls": options.tls})
+                       "base_port": options.base_port, "listen": options.listen, "tls": options.tls, "grid": options.grid})
     for program, state in done:
         ports = ", ".join(f"{what} {host}:{port}" for what, (host, port) in program.ports.items())
         print(f"  {program.name:<14} {'ready' if state == 'started' else 'runs already':<13} {program.role}: {ports}")
@@ -71,6 +74,8 @@ Clients            export AXON_CONFIG={folder}/client.cfg
 Entity Managers    axon-entity-manager --config {folder}/entitygl2client.cfg --application NAME
 Users              {read_property(client, 'Axon.User')} (password in client.cfg) and those of users.cfg
 The end            axon-cluster down{in_folder(options)}""")
+    if cluster.plan().grid:
+        print(f"IceGrid            icegridadmin --Ice.Config={folder}/icegridadmin.cfg")
     return 0
 
 
@@ -95,6 +100,12 @@ def kill(cluster, options):
     if not cluster.kill(options.name):
         print(f"{options.name} was not running")
         return 1
+    if options.name == "icegridnode":
+        print(f"icegridnode killed; its programs go on, and axon-cluster down{in_folder(options)}, then up, brings it back")
+        return 0
+    if cluster.program(options.name).by_node:
+        print(f"{options.name} killed; its node starts it again")
+        return 0
     print(f"{options.name} killed; axon-cluster restart {options.name}{in_folder(options)} brings it back")
     return 0
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """axon-cluster without a cluster: what it writes, what it refuses, and that it never strikes a stranger."""
 import contextlib
+import dataclasses
 import importlib.util
 import io
 import os
@@ -16,6 +17,7 @@ import tempfile
 import threading
 import unittest
 from unittest import mock
+from xml.etree import ElementTree
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
@@ -133,6 +135,108 @@ class Configuration(unittest.TestCase):
             self.assertIn(said, str(raised.exception))
 
 
+PLACE = configuration.Place(cluster.descriptor(), pathlib.Path("/opt/axon/bin"), "axon")
+
+
+class OfIceGrid(unittest.TestCase):
+    """What is written for axon-cluster up --grid."""
+
+    def setUp(self):
+        self.plan = Plan(pathlib.Path("/folder"), front_ends=2, entity_servers=3, grid=True)
+        self.files = configuration.files(self.plan, PASSWORDS, PLACE)
+        self.application = ElementTree.fromstring(self.files["icegrid.xml"]).find("application")
+
+    def servers(self):
+        """{name: (attributes, words)} as IceGrid reads the descriptor."""
+        templates = {one.get("id"): one for one in self.application.iter("server-template")}
+        node = self.application.find("node")
+        variables = {one.get("name"): one.get("value") for one in node.iter("variable")}
+        found = {}
+        for instance in node.iter("server-instance"):
+            template = templates[instance.get("template")]
+            values = {**variables, **{one.get("name"): instance.get(one.get("name")) for one in template.iter("parameter")}}
+
+            def filled(text, its=values):
+                return re.sub(r"\$\{(\w+)\}", lambda name: its[name[1]], text)
+            server = template.find("server")
+            attributes = {key: filled(value) for key, value in server.attrib.items()}
+            found[attributes["id"]] = (attributes, [filled(option.text) for option in server.iter("option")])
+        return found
+
+    def test_the_descriptor_starts_every_program_as_it_is_started_without_icegrid(self):
+        servers = self.servers()
+        programs = [program for program in configuration.programs(self.plan) if program.by_node]
+        self.assertEqual(sorted(servers), sorted(program.name for program in programs))
+        for program in programs:
+            attributes, words = servers[program.name]
+            command = " ".join(f"/opt/axon/bin/{word}" if word.startswith("axon-") else word for word in program.command)
+            self.assertEqual(words, ["start.sh", program.name, command])
+            self.assertEqual((attributes["exe"], attributes["pwd"], attributes["user"]), ("/bin/sh", "/folder", "axon"))
+            self.assertEqual([word for word in program.command if word.endswith(".cfg") and word.rpartition("=")[2] not in self.files], [])
+
+    def test_no_program_waits_until_somebody_asks_for_it(self):
+        for server in self.application.iter("server"):
+            self.assertEqual(server.get("activation"), "always", server.get("id"))
+
+    def test_icegrid_speaks_tls_on_loopback_to_icegrid_only_also_where_the_cluster_does_not(self):
+        for file in ("icegridregistry.cfg", "icegridnode.cfg", "icegridadmin.cfg"):
+            for key, value in properties(self.files[file]):
+                if key.endswith("Endpoints"):
+                    self.assertRegex(value, "^ssl -h 127.0.0.1 -p [0-9]+$", f"{file} {key}")
+            self.assertEqual(configuration.read_property(self.files[file], "IceSSL.TrustOnly"), "OU=registry,O=Axon")
+            self.assertEqual(configuration.read_property(self.files[file], "IceSSL.VerifyPeer"), "2")
+            self.assertEqual(configuration.read_property(self.files[file], "IceSSL.CertFile"), "registry-127.0.0.1.cert.pem")
+        self.assertEqual(set(configuration.certificates(self.plan)), {"icegridregistry", "icegridnode"})
+
+    def test_servers_may_reach_any_replica_of_icestorm_and_replicas_reach_each_other(self):
+        for file in ("frontendserver-1.cfg", "entityserver-3.cfg"):
+            manager = configuration.read_property(self.files[file], "Server.TopicManager")
+            for name in self.plan.storm_names():
+                self.assertIn(f"-p {self.plan.port(name, 'topics')}", manager)
+        for number in range(1, 4):
+            text = self.files[f"icestorm-{number}.cfg"]
+            self.assertEqual(configuration.read_property(text, "IceStorm.NodeId"), str(number))
+            self.assertIsNone(configuration.read_property(text, "IceStorm.Transient"), "which replicas cannot be")
+            self.assertEqual(configuration.read_property(text, f"IceStorm.Nodes.{number}"),
+                             f"IceStorm/node{number}:{configuration.read_property(text, 'IceStorm.Node.Endpoints')}")
+            self.assertEqual(text.count("\nIceStorm.Nodes."), 3)
+
+    def test_with_tls_a_replica_admits_servers_and_replicas(self):
+        plan = Plan(pathlib.Path("/folder"), grid=True, tls=True)
+        text = configuration.files(plan, PASSWORDS, PLACE)["icestorm-2.cfg"]
+        for side in ("Server", "Client"):
+            self.assertEqual(configuration.read_property(text, f"IceSSL.TrustOnly.{side}"),
+                             "OU=front-end,O=Axon;OU=entity-server,O=Axon;OU=storm,O=Axon")
+
+    def test_no_port_is_given_twice_in_the_largest_cluster(self):
+        plan = Plan(pathlib.Path("/folder"), front_ends=9, entity_servers=9, grid=True)
+        ports = [port for program in configuration.programs(plan) for _, port in program.ports.values()]
+        self.assertEqual(len(ports), len(set(ports)))
+        self.assertLess(max(ports), plan.base_port + 200)
+
+    def test_every_property_is_said_once(self):
+        for name, text in self.files.items():
+            if name.endswith(".cfg"):
+                keys = [pair[0] for pair in properties(text)]
+                self.assertEqual(len(keys), len(set(keys)), name)
+
+    def test_who_may_run_programs_as_root_is_root_only(self):
+        key = "IceGrid.Node.AllowRunningServersAsRoot"
+        self.assertIsNone(configuration.read_property(self.files["icegridnode.cfg"], key))
+        root = configuration.files(self.plan, PASSWORDS, dataclasses.replace(PLACE, user="root"))
+        self.assertEqual(configuration.read_property(root["icegridnode.cfg"], key), "1")
+
+    def test_names_are_quoted_for_xml_and_blanks_are_refused(self):
+        odd = dataclasses.replace(PLACE, programs=pathlib.Path('/a&"<b'))
+        text = configuration.files(self.plan, PASSWORDS, odd)["icegrid.xml"]
+        values = [one.get("value") for one in ElementTree.fromstring(text).iter("variable")]
+        self.assertIn('/a&"<b', values)
+        with self.assertRaisesRegex(Misconfigured, "without blanks"):
+            configuration.files(self.plan, PASSWORDS, dataclasses.replace(PLACE, programs=pathlib.Path("/a b")))
+        with self.assertRaisesRegex(Misconfigured, "install axon-cluster again"):
+            configuration.files(self.plan, PASSWORDS, dataclasses.replace(PLACE, descriptor="<icegrid/>"))
+
+
 class Folder(unittest.TestCase):
     """axon-cluster on a folder of its own, with programs that are scripts."""
 
@@ -241,6 +345,64 @@ class Folder(unittest.TestCase):
         self.assertEqual(code, 2, said)
         self.assertIn("zeroc-glacier2", said)
         self.assertNotIn("zeroc-icebox", said)
+
+    def test_the_missing_packages_of_icegrid_are_named_where_it_is_wanted(self):
+        with mock.patch.dict(os.environ, {"PATH": str(self.root)}):
+            code, said = self.run_command("up", "--grid")
+        self.assertEqual(code, 2, said)
+        self.assertIn("zeroc-icegrid zeroc-ice-utils", said)
+
+    def grid(self):
+        """A folder for IceGrid, whose programs are scripts that do nothing."""
+        for name in ("icegridregistry", "icegridnode", "icegridadmin"):
+            self.script(name, "exit 1")
+        return self.cluster.prepare({"base_port": 0, "grid": True})
+
+    def test_a_program_of_the_node_is_found_by_what_it_has_written_down(self):
+        self.grid()
+        (self.folder / "log/es1.log").write_text("of an earlier start\n")
+        child = subprocess.Popen(["sh", "start.sh", "es1", "cat /dev/stdin", "--Ice.Config=/somewhere"], cwd=self.folder,
+                                 stdin=subprocess.PIPE, text=True)
+        self.addCleanup(child.wait)
+        self.addCleanup(child.stdin.close)
+        while not processes.runs(self.cluster.records().get("es1")):
+            self.assertIsNone(child.poll())
+        its = self.cluster.records()["es1"]
+        self.assertEqual((its["pid"], its["ticks"]), (child.pid, processes.start_ticks(child.pid)))
+        child.stdin.write("ready\n")
+        child.stdin.flush()
+        while not processes.said(self.cluster.log("es1"), its):
+            self.assertIsNone(child.poll())
+        self.assertEqual(processes.said(self.cluster.log("es1"), its), "ready\n")
+
+    def test_programs_whose_node_has_ended_are_not_started_twice_and_can_be_ended(self):
+        self.grid()
+        child = subprocess.Popen(["sh", "start.sh", "es1", "sleep 60"], cwd=self.folder)
+        self.addCleanup(child.wait)
+        self.addCleanup(child.kill)
+        while not processes.runs(self.cluster.records().get("es1")):
+            self.assertIsNone(child.poll())
+        code, said = self.run_command("up")
+        self.assertEqual(code, 2, said)
+        self.assertIn("its programs still run (es1)", said)
+        code, said = self.run_command("restart", "icegridnode")
+        self.assertEqual(code, 2, said)
+        self.assertIn("its programs still run (es1)", said)
+        code, said = self.run_command("down")
+        self.assertEqual((code, said), (0, "ended: es1\n"))
+        self.assertFalse(processes.runs(self.cluster.records().get("es1")))
+
+    def test_what_is_half_written_down_is_no_process(self):
+        self.grid()
+        for text in ("", "12 (sh) S 1", "12\nboot\n0\n", "x (sh) S" + " 1" * 40 + "\nboot\nten\n"):
+            (self.folder / "run/es1").write_text(text)
+            self.assertIsNone(self.cluster.records().get("es1"), text)
+
+    def test_an_icegrid_that_refuses_the_application_is_quoted(self):
+        self.grid()
+        self.script("icegridadmin", "echo 'error: the moon is full' >&2; exit 1")
+        with self.assertRaisesRegex(cluster.Failed, "icegrid.xml.*the moon is full"):
+            self.cluster.deploy()
 
     def test_wrong_words_are_refused(self):
         self.assertEqual(self.run_command("up", "--front-ends", "many")[0], 2)
