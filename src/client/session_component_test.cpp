@@ -31,6 +31,7 @@ using namespace std::chrono_literals;
 using axon::test::loopbackAddress;
 using axon::test::TcpValve;
 using axon::test::waitUntil;
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::SizeIs;
 using transport::ByteRange;

@@ -6,10 +6,12 @@
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <cstdlib>
+#include <iostream>
 #include <set>
 #include <stdexcept>
 
 #include "common/release.hpp"
+#include "messages/unexpected_words.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
 #include "transport/ice/tls.hpp"
@@ -191,6 +193,13 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     DaemonOptions options;
     try {
         app.parse(argc, argv);
+    } catch (const CLI::ExtrasError&) {
+        std::vector<std::string> known;
+        for (const auto* option : app.get_options())
+            for (const auto& name : option->get_lnames()) known.push_back("--" + name);
+        std::cerr << unexpectedWords("axon-entity-manager", app.remaining(), known) << std::endl;
+        options.exit_code = 2;
+        return options;
     } catch (const CLI::ParseError& e) {
         options.exit_code = app.exit(e) == 0 ? 0 : 2;
         return options;

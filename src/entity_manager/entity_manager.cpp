@@ -18,6 +18,13 @@ namespace axon::entity_manager {
 namespace {
 constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a turn
 constexpr int kOpenings = 8;         // of direct paths that wait for the strand
+
+/// For the log, which has no line ends within a message.
+std::string inOneLine(std::string_view text) {
+    std::string line;
+    for (const char c : text) c == '\n' ? line += "; " : line += c;
+    return line;
+}
 }  // namespace
 
 EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
@@ -337,7 +344,7 @@ void EntityManager::onLinkUp() {
 }
 
 void EntityManager::onLinkDown(const std::string& reason, LinkEnd end) {
-    spdlog::warn("{}: the link to the robot application is down: {}", name_, reason);
+    spdlog::warn("{}: the link to the robot application is down: {}", name_, inOneLine(reason));
     core_->onLinkDown(reason, end);
     afterEvents();
 }
@@ -348,7 +355,8 @@ void EntityManager::onLinkRefused(const Refusal& refusal) {
 }
 
 void EntityManager::onLinkSought(const SearchReport& report) {
-    spdlog::warn("{}: {}{}{}", name_, report.finding, report.fix.empty() ? "" : "; fix: ", report.fix);
+    spdlog::warn("{}: {}{}{}", name_, inOneLine(report.finding),
+                 report.fix.empty() ? "" : "; fix: ", report.fix);
     core_->onApplicationSought(report.finding);
     afterEvents();
 }
@@ -435,12 +443,13 @@ void EntityManager::afterEvents() {
     if (const auto before = state_.exchange(state); before != state) {
         const auto reason = core_->status().reason;
         spdlog::info("{}: {} -> {}{}{}", name_, toString(before), toString(state), reason.empty() ? "" : ": ",
-                     reason);
+                     inOneLine(reason));
     }
     if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
         spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
-    if (const auto warning = core_->takeWarning(); !warning.empty()) spdlog::warn("{}: {}", name_, warning);
-    if (const auto news = core_->takeNews(); !news.empty()) spdlog::info("{}: {}", name_, news);
+    if (const auto warning = core_->takeWarning(); !warning.empty())
+        spdlog::warn("{}: {}", name_, inOneLine(warning));
+    if (const auto news = core_->takeNews(); !news.empty()) spdlog::info("{}: {}", name_, inOneLine(news));
     armTimer();
 }
 

@@ -78,7 +78,8 @@ int main(int argc, char** argv) {
         manager->offerDirect(options.direct);
         manager->start();
         std::cout << "ready application=" << options.core.application << " entity=" << manager->uuid()
-                  << " server=" << options.server.text() << std::endl;
+                  << " server=" << options.server.text()
+                  << " (now looking for the application and the server)" << std::endl;
         transport::tellServiceManagerReady();
         ended.get_future().wait();
         manager->stop();

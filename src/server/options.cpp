@@ -9,12 +9,14 @@
 #include <cstdio>
 #include <filesystem>
 #include <functional>
+#include <iostream>
 #include <map>
 #include <set>
 #include <stdexcept>
 
 #include "common/release.hpp"
 #include "host/port_range.hpp"
+#include "messages/unexpected_words.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/properties.hpp"
 #include "transport/process/logging.hpp"
@@ -395,6 +397,12 @@ Parsed parseOptions(int argc, char** argv) {
         });
     try {
         app.parse(argc, argv);
+    } catch (const CLI::ExtrasError&) {
+        std::vector<std::string> known;
+        for (const auto* option : app.get_options())
+            for (const auto& name : option->get_lnames()) known.push_back("--" + name);
+        std::cerr << unexpectedWords("axon-server", app.remaining(), known) << std::endl;
+        return {std::nullopt, 2};
     } catch (const CLI::ParseError& error) {
         return {std::nullopt, app.exit(error) == 0 ? 0 : 2};
     }

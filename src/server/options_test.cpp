@@ -75,6 +75,12 @@ TEST(ServerOptions, TheBasePortIsForLanesOfOneEndpoint) {
     std::filesystem::remove(file);
 }
 
+TEST(ServerOptions, AMisspeltOptionIsNamedWithTheOneThatMayBeMeant) {
+    testing::internal::CaptureStderr();
+    EXPECT_EQ(parse({"--liten", "0.0.0.0"}).exit_code, 2);
+    EXPECT_THAT(testing::internal::GetCapturedStderr(), HasSubstr("did you mean \"--listen\"?"));
+}
+
 TEST(ServerOptions, TheConsoleIsBesideTheOtherPorts) {
     const auto console = [](const std::vector<std::string>& words) {
         const auto its = parse(words).options->settings.console;

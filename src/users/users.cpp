@@ -98,6 +98,8 @@ Users Users::parse(std::string_view text, const std::string& file) {
 
 Users Users::read(const std::string& file, MayBeEmpty may_be_empty) {
     const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
+    if (fd.get() < 0 && errno == ENOENT)
+        throw std::runtime_error(file + ": No such file; fix: " + std::string(kHowTo));
     if (fd.get() < 0) fail(file, "expected a readable file of users");
     struct stat facts {};
     if (::fstat(fd.get(), &facts) != 0) fail(file, "cannot be read");

@@ -3,6 +3,7 @@
 #include <axon/client.hpp>
 #include <csignal>
 #include <iostream>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -45,9 +46,12 @@ inline int runService(axon::client::Client& client, const std::string& robot, co
     if (!held) return refused(held.refusal());
     std::signal(SIGINT, onInterrupt);
     const auto task = held->run(service, arguments);
-    task.onUpdate([shown = -1](const TaskReport& report) mutable {
+    // Reports come with feedback and changes of state, too. (The library copies what is called.)
+    task.onUpdate([shown = std::make_shared<int>(-1)](const TaskReport& report) {
         const int percent = static_cast<int>(report.progress * 100);
-        if (report.progress >= 0 && percent != shown) std::cout << (shown = percent) << " %" << std::endl;
+        if (report.progress < 0 || percent == *shown) return;
+        *shown = percent;
+        std::cout << percent << " %" << std::endl;
     });
     auto report = task.wait(kLook);
     for (auto waited = kLook; !isFinal(report.state) && !interrupted && waited < kPatience; waited += kLook)

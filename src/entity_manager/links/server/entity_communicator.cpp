@@ -317,7 +317,22 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                         });
                     });
             },
-            failure(attempt, "log-in at " + address_.text()));
+            [failed = failure(attempt, "log-in at " + address_.text())](std::exception_ptr problem) {
+                try {
+                    std::rethrow_exception(problem);
+                } catch (const Ice::ObjectNotExistException&) {
+                    problem = std::make_exception_ptr(
+                        Axon::CommUtil::RequestRefused(static_cast<int>(RefusalCode::Malformed),
+                                                       "a program that speaks Ice answers there, and it is "
+                                                       "not where Entity Managers log in. Is "
+                                                       "it the port of the clients, or of the signal lane? "
+                                                       "Entity Managers connect to 10412 by "
+                                                       "default; axon-server says its addresses when it "
+                                                       "starts: ready … entity=HOST:PORT …"));
+                } catch (...) {  // told as it is
+                }
+                failed(problem);
+            });
     }
 
     template <class Then>

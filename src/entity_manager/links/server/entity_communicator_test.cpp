@@ -200,6 +200,20 @@ class EntityCommunicatorTest : public testing::Test {
         thread_.join();
     }
 
+    /// Another way, to a port where Ice is spoken and no Entity Manager logs in, as that of the clients.
+    void seekWhereNoGateIs() {
+        const auto other = transport::listen(*server_.communicator(), "Clients",
+                                             transport::tcpEndpoint(test::loopbackAddress() + ":0"));
+        other->activate();
+        ServerAddress address;
+        address.host = test::loopbackAddress();
+        address.port = transport::publishedEndpoints(*other).front().port;
+        onStrand([&] {
+            way_ = std::make_unique<EntityCommunicator>(strand_, ice_, address, clock_, events);
+            way_->wantConnection(true);
+        });
+    }
+
     /// Returns when it has been done.
     void onStrand(const std::function<void()>& act) {
         std::promise<void> done;
@@ -345,6 +359,17 @@ TEST_F(EntityCommunicatorTest, AServerOfAnotherReleaseIsLoggedOnce) {
                       "; they work together, because both have " + transport::ourContract() + "\n";
     EXPECT_EQ(lines->all(), "connected with an entity server of release 7.1" + rest +
                                 "connected with an entity server of an unknown release ('7\\x0a1')" + rest);
+}
+
+TEST_F(EntityCommunicatorTest, WhereNoEntityManagerLogsInTheLogNamesTheRightPort) {
+    const auto lines = std::make_shared<test::LogLines>();
+    const auto before = spdlog::default_logger();
+    spdlog::set_default_logger(std::make_shared<spdlog::logger>("", lines));
+    seekWhereNoGateIs();
+    EXPECT_TRUE(waitUntil([&] { return lines->all().find("no session") != std::string::npos; }));
+    spdlog::set_default_logger(before);
+    EXPECT_THAT(lines->all(), testing::HasSubstr("Is it the port of the clients"));
+    EXPECT_THAT(lines->all(), testing::HasSubstr("10412"));
 }
 
 }  // namespace
