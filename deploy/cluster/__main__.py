@@ -8,7 +8,8 @@ import pathlib
 import sys
 
 sys.dont_write_bytecode = True
-from cluster import Cluster, Failed, default_folder  # noqa: E402
+import hosts  # noqa: E402
+from cluster import Cluster, Failed, configure, default_folder  # noqa: E402
 from configuration import BASE_PORT, LOOPBACK, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
 
 EPILOG = f"""\
@@ -19,6 +20,7 @@ EPILOG = f"""\
   axon-cluster kill fe1                              kill -9, to see what happens
   axon-cluster restart fe1
   axon-cluster down
+  axon-cluster configure --hosts hosts.txt --to out  several machines: the folder of each
 
 Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}; with --grid icegridregistry,
 icegridnode, and icestorm1 … icestorm3 in place of icestorm.
@@ -34,7 +36,7 @@ def parse(arguments):
     common.add_argument("--folder", type=pathlib.Path, default=default_folder(),
                         help="folder of configuration and logs (%(default)s)")
     common.add_argument("--programs", type=pathlib.Path, help="folder of axon-server and axon (default: that of axon-cluster)")
-    verbs = parser.add_subparsers(dest="verb", required=True, metavar="up | status | kill | restart | down")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="up | status | kill | restart | down | configure")
 
     def add(name, text):
         return verbs.add_parser(name, parents=[common], help=text, description=text)
@@ -50,6 +52,18 @@ def parse(arguments):
     add("kill", "Kills a program with SIGKILL.").add_argument("name")
     add("restart", "Ends a program and starts it again.").add_argument("name")
     add("down", "Ends all programs, in order.")
+    several = verbs.add_parser(
+        "configure", formatter_class=argparse.RawDescriptionHelpFormatter, help="Writes the configuration of several machines.",
+        description="Writes, for each machine, the folder with which IceGrid starts its programs there. All links are under TLS.",
+        epilog=f"FILE has one line for each machine, by the name or IPv4 address under which the others reach it, such as\n{hosts.EXAMPLE}\n"
+               "docs/how-to/two-machines.md goes on from there.")
+    several.add_argument("--hosts", type=pathlib.Path, required=True, metavar="FILE", help="which program runs on which machine")
+    several.add_argument("--to", type=pathlib.Path, required=True, metavar="DIR", help="the folder to write; it must be empty, or not exist")
+    several.add_argument("--base-port", type=int, metavar="P", default=BASE_PORT, help=f"first of 200 ports ({BASE_PORT})")
+    several.add_argument("--user", default=hosts.ACCOUNT, help=f"as whom the programs run on the machines ({hosts.ACCOUNT})")
+    several.add_argument("--at", type=pathlib.Path, default=hosts.FOLDER, metavar="DIR",
+                         help=f"where the folder will be on each machine ({hosts.FOLDER}, as the units of systemd want it)")
+    several.add_argument("--programs", type=pathlib.Path, help="folder of axon-server (default: that of axon-cluster)")
     return parser.parse_args(arguments)
 
 
@@ -122,10 +136,28 @@ def down(cluster, options):
     return 0
 
 
+def several_machines(options, programs):
+    plan = configure(programs, options.hosts, options.to, options.base_port, options.user, options.at)
+    for machine, names in plan.nodes().items():
+        print(f"  {machine:<20} {', '.join(names)}")
+    registry = plan.host("icegridregistry")
+    print(f"""Written: {options.to}
+
+1. The machine with the CA    sh {options.to}/certificates.sh
+2. Every machine MACHINE      copy {options.to}/MACHINE to {options.at} there, for the user {options.user} only
+3. {registry:<26} systemctl enable --now axon-icegridregistry
+4. Every machine              systemctl enable --now axon-icegridnode
+5. {registry:<26} icegridadmin --Ice.Config={options.at}/icegridadmin.cfg -e 'application add {options.at}/icegrid.xml'
+6. Clients, Entity Managers   the files of {options.to}/{hosts.PEOPLE}; set IceSSL.DefaultDir in them to the folder of their certificates""")
+    return 0
+
+
 def main(arguments):
     options = parse(arguments)
     programs = options.programs or pathlib.Path(sys.argv[0]).resolve().parent
     try:
+        if options.verb == "configure":
+            return several_machines(options, programs.resolve())
         return {"up": up, "status": status, "kill": kill, "restart": restart, "down": down}[options.verb](
             Cluster(options.folder, programs.resolve()), options)
     except (Misconfigured, Failed) as error:

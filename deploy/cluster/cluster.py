@@ -24,6 +24,7 @@ import sys
 import time
 
 import configuration
+import hosts
 import probe
 import processes
 from grid import Grid, record
@@ -79,6 +80,40 @@ def free_range(plan):
         if all(free(*at) for program in configuration.programs(candidate) for at in program.ports.values()):
             return candidate
     raise Misconfigured("--base-port 0: no free range of 200 ports between 11000 and 32200 was found; fix: choose one with --base-port P")
+
+
+def add_user(axon_programs, file, user, role, password):
+    done = subprocess.run([axon_programs / "axon-server", "--users", file, "--add-user", user, "--user-role", role],
+                          input=f"{password}\n", text=True, capture_output=True, check=False)
+    if done.returncode != 0:
+        raise Failed(f"axon-server --add-user {user} ended with {done.returncode}: {done.stderr.strip()}")
+
+
+def configure(axon_programs, hosts_file, target, base_port, account, folder):
+    """Writes what each machine of `hosts_file` needs into `target`, which must be empty. Returns the plan."""
+    try:
+        with open(hosts_file, encoding="utf-8") as file:
+            text = file.read(hosts.SIZE_MAX + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        raise Misconfigured(f"{hosts_file}: {error}; fix: name a text file with one line for each machine, as in\n{hosts.EXAMPLE}") from error
+    plan = hosts.read(text, hosts_file, folder, base_port)
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise Misconfigured(f"{target} exists and is not an empty folder; fix: name another one with --to, or delete it")
+    if not (axon_programs / "axon-server").exists():
+        raise Misconfigured(f"{axon_programs / 'axon-server'} does not exist; fix: name its folder with --programs")
+    target.mkdir(mode=0o700, parents=True, exist_ok=True)
+    passwords = {user: secrets.token_urlsafe(18) for user in USERS}
+    for user, role in USERS.items():
+        add_user(axon_programs, target / "users.cfg", user, role, passwords[user])
+    users = (target / "users.cfg").read_text(encoding="utf-8")
+    for file in target.glob("users.cfg*"):
+        file.unlink()
+    texts = hosts.files(plan, passwords, users, configuration.Place(descriptor(), hosts.PROGRAMS, account))
+    for name in [*plan.machines(), hosts.PEOPLE, *hosts.folders(plan)]:
+        (target / name).mkdir(mode=0o700)
+    for name, text in texts.items():
+        write_private(target / name, text)
+    return plan
 
 
 def descriptor():
@@ -169,8 +204,6 @@ class Cluster:
     def prepare(self, wishes):
         """The folder as `wishes` (names of Plan's fields; None = as before) want it. Returns the plan."""
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        (self.folder / "log").mkdir(mode=0o700, exist_ok=True)
-        (self.folder / "globalservices").mkdir(mode=0o700, exist_ok=True)
         with self.locked():
             known = self.remembered("cluster.json")
             before = known.get("plan", {})
@@ -189,10 +222,8 @@ class Cluster:
                 raise Misconfigured(f"a cluster of another kind runs in {self.folder} ({', '.join(running)}); "
                                     "fix: end it with axon-cluster down")
             self.require_programs(plan)
-            if plan.grid:
-                for name in ("run", "db", *(f"db/{program.name}" for program in configuration.programs(plan)
-                                            if program.name.startswith("ice"))):
-                    (self.folder / name).mkdir(mode=0o700, exist_ok=True)
+            for name in configuration.folders(plan, [program.name for program in configuration.programs(plan)]):
+                (self.folder / name).mkdir(mode=0o700, exist_ok=True)
             self.write_files(plan, known.get("generated", {}), fields)
         return plan
 
@@ -263,10 +294,7 @@ class Cluster:
                          f"{(done.stderr or done.stdout).strip()}")
 
     def add_user(self, user, role, password):
-        done = subprocess.run([self.axon_programs / "axon-server", "--users", self.folder / "users.cfg", "--add-user", user,
-                               "--user-role", role], input=f"{password}\n", text=True, capture_output=True, check=False)
-        if done.returncode != 0:
-            raise Failed(f"axon-server --add-user {user} ended with {done.returncode}: {done.stderr.strip()}")
+        add_user(self.axon_programs, self.folder / "users.cfg", user, role, password)
 
     def up(self, wishes):
         """Starts what does not run, and returns when it can be used: [(program, "started" or "running")]."""

@@ -24,6 +24,7 @@ sys.path.insert(0, str(HERE))
 sys.dont_write_bytecode = True
 import cluster  # noqa: E402
 import configuration  # noqa: E402
+import hosts  # noqa: E402
 import probe  # noqa: E402
 import processes  # noqa: E402
 from configuration import Misconfigured, Plan  # noqa: E402
@@ -237,6 +238,116 @@ class OfIceGrid(unittest.TestCase):
             configuration.files(self.plan, PASSWORDS, dataclasses.replace(PLACE, descriptor="<icegrid/>"))
 
 
+HOSTS = """\
+# two rooms
+lab.example:  icegridregistry icestorm1 icestorm2 fe1 fe2 client-router   # the server room
+
+hall.example: icestorm3 es1 entity-router
+"""
+
+
+class SeveralMachines(unittest.TestCase):
+    """What axon-cluster configure reads and writes."""
+
+    def setUp(self):
+        self.plan = hosts.read(HOSTS, "hosts.txt")
+        self.files = hosts.files(self.plan, PASSWORDS, "the users\n", PLACE)
+
+    def value(self, file, key):
+        return configuration.read_property(self.files[file], key)
+
+    def test_each_machine_gets_the_files_of_its_programs_and_no_others(self):
+        self.assertEqual(sorted(name for name in self.files if name.startswith("hall.example/")), sorted(f"hall.example/{name}" for name in (
+            "icegridnode.cfg", "start.sh", "icebox-3.cfg", "icestorm-3.cfg", "entityserver-1.cfg", "glacier2entities.cfg", "users.cfg")))
+        self.assertIn("lab.example/icegridregistry.cfg", self.files)
+        self.assertEqual(sorted(name for name in self.files if "/" not in name or name.startswith(hosts.PEOPLE)),
+                         ["certificates.sh", f"{hosts.PEOPLE}/client.cfg", f"{hosts.PEOPLE}/entitygl2client.cfg"])
+        for machine in ("lab.example", "hall.example"):
+            self.assertEqual(self.files[f"{machine}/users.cfg"], "the users\n")
+            self.assertIn(f"{machine}/db/icegridnode", hosts.folders(self.plan))
+        self.assertIn("hall.example/db/icestorm3", hosts.folders(self.plan))
+        self.assertNotIn("lab.example/db/icestorm3", hosts.folders(self.plan))
+
+    def test_every_link_is_under_tls_and_goes_to_the_machine_of_the_program(self):
+        for name, text in self.files.items():
+            if name.endswith(".cfg") and not name.endswith("users.cfg"):
+                for key, value in properties(text):
+                    self.assertNotIn("tcp -h", value, f"{name} {key}")
+                    self.assertNotIn("127.0.0.1", value, f"{name} {key}")
+        self.assertEqual(self.value("hall.example/entityserver-1.cfg", "Server.TopicManager").count("-h lab.example"), 2)
+        self.assertEqual(self.value("hall.example/icegridnode.cfg", "IceGrid.Node.Name"), "hall.example")
+        self.assertIn("ssl -h hall.example", self.value("hall.example/icegridnode.cfg", "IceGrid.Node.Endpoints"))
+        self.assertIn("/Locator:ssl -h lab.example", self.value("hall.example/icegridnode.cfg", "Ice.Default.Locator"))
+        self.assertIn("ssl -h hall.example", self.value(f"{hosts.PEOPLE}/entitygl2client.cfg", "Ice.Default.Router"))
+        self.assertIn("ssl -h lab.example", self.value(f"{hosts.PEOPLE}/client.cfg", "Ice.Default.Router"))
+
+    def test_every_certificate_that_a_file_names_is_issued_for_its_machine_and_given_to_it(self):
+        orders = [line.split() for line in self.files["certificates.sh"].splitlines()]
+        issued = {words[1]: words[2:] for words in orders if words[:1] == ["issue"] and len(words) > 2}
+        given = {(words[1], words[2]) for words in orders if words[:1] == ["give"] and len(words) == 3}
+        self.assertEqual(issued["front-end-fe2"], ["--front-end", "fe2", "lab.example"])
+        self.assertEqual(issued["registry-hall.example"], ["--registry", "hall.example"])
+        wanted = set()
+        for name in self.files:
+            if name.endswith(".cfg") and (file := self.value(name, "IceSSL.CertFile")):
+                wanted.add((name.partition("/")[0], file.removesuffix(".cert.pem")))
+        self.assertEqual(given, wanted)
+        self.assertEqual({stem for _, stem in given}, set(issued))
+
+    def test_each_node_starts_what_the_file_says(self):
+        application = ElementTree.fromstring(self.files["lab.example/icegrid.xml"]).find("application")
+        self.assertEqual({node.get("name"): [(one.get("template"), one.get("number")) for one in node.iter("server-instance")]
+                          for node in application.iter("node")},
+                         {"lab.example": [("IceStorm", "1"), ("IceStorm", "2"), ("FrontEndServer", "1"), ("FrontEndServer", "2"),
+                                          ("ClientRouter", None)],
+                          "hall.example": [("IceStorm", "3"), ("EntityServer", "1"), ("EntityRouter", None)]})
+
+    def test_the_units_of_systemd_have_the_folder_and_the_user_that_is_written_for(self):
+        for name in ("registry", "node"):
+            unit = (HERE.parent / f"systemd/axon-icegrid{name}.service").read_text(encoding="utf-8")
+            self.assertIn(f"ExecStart=/usr/bin/icegrid{name} --Ice.Config={hosts.FOLDER}/icegrid{name}.cfg\n", unit)
+            self.assertIn(f"StateDirectory={hosts.FOLDER.name}\n", unit)
+            self.assertIn(f"User={hosts.ACCOUNT}\n", unit)
+
+    def test_bad_lines_are_refused_with_their_number_and_the_fix(self):
+        good = HOSTS.splitlines()
+        for number, line, said in (
+                (2, "lab.example icegridregistry", "expected MACHINE: PROGRAM"), (2, ": fe1", "no name or IPv4 address"),
+                (2, "0.0.0.0: fe1", "no name or IPv4 address"), (2, "::1: fe1", "no name or IPv4 address"), (2, "-lab: fe1", "no name"),
+                (2, "a b: fe1", "no name"), (2, "../x: fe1", "no name"), (2, "x" * 999 + ": fe1", "no name"),
+                (4, "LAB.example: es1", "is also in line 2"), (4, "hall.example:", "nothing runs on hall.example"),
+                (4, "hall.example: es0", "no program 'es0'"), (4, "hall.example: es10", "no program 'es10'"),
+                (4, "hall.example: icestorm", "no program 'icestorm'"), (4, "hall.example: es1,fe3", "no program"),
+                (4, "hall.example: icestorm3 es1 entity-router fe1", "fe1 runs on lab.example already (line 2)"),
+                (4, "hall.example: icestorm3 icestorm4 es1 entity-router", "icestorm4: expected icestorm1 to icestorm3"),
+                (4, "hall.example: \x1b[2J", "no program '?[2J'")):
+            lines = [*good]
+            lines[number - 1] = line
+            with self.assertRaises(Misconfigured, msg=line) as raised:
+                hosts.read("\n".join(lines), "hosts.txt")
+            self.assertTrue(str(raised.exception).startswith(f"hosts.txt:{number}: "), raised.exception)
+            self.assertIn(said, str(raised.exception))
+            self.assertIn("; fix: ", str(raised.exception))
+            self.assertLess(len(str(raised.exception)), 500)
+
+    def test_what_is_missing_is_named(self):
+        for text, said in (("", "no machine runs icegridregistry"), (HOSTS.replace("client-router", ""), "no machine runs client-router"),
+                           (HOSTS.replace("icestorm3", ""), "no machine runs icestorm3"), (HOSTS.replace("es1", ""), "no machine runs es1"),
+                           (HOSTS.replace("fe1", ""), "no machine runs fe1; expected fe1 to fe2"), ("#" * 70000, "at most 65536")):
+            with self.assertRaises(Misconfigured, msg=said) as raised:
+                hosts.read(text, "hosts.txt")
+            self.assertIn(said, str(raised.exception))
+            self.assertIn("; fix: ", str(raised.exception))
+
+    def test_other_ports_and_folders_are_those_of_every_file(self):
+        plan = hosts.read(HOSTS, "hosts.txt", "/srv/axon", 20000)
+        files = hosts.files(plan, PASSWORDS, "", PLACE)
+        self.assertIn("-p 20002", configuration.read_property(files[f"{hosts.PEOPLE}/client.cfg"], "Ice.Default.Router"))
+        self.assertEqual([name for name, text in files.items() if "/var/lib" in text], [])
+        with self.assertRaisesRegex(Misconfigured, "1024"):
+            hosts.read(HOSTS, "hosts.txt", base_port=0)
+
+
 class Folder(unittest.TestCase):
     """axon-cluster on a folder of its own, with programs that are scripts."""
 
@@ -403,6 +514,39 @@ class Folder(unittest.TestCase):
         self.script("icegridadmin", "echo 'error: the moon is full' >&2; exit 1")
         with self.assertRaisesRegex(cluster.Failed, "icegrid.xml.*the moon is full"):
             self.cluster.deploy()
+
+    def test_the_folders_of_several_machines_are_written_once_and_for_the_owner_only(self):
+        file, target = self.root / "hosts.txt", self.root / "out"
+
+        def configure(*more):
+            said = io.StringIO()
+            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+                code = COMMAND.main(["configure", "--hosts", str(file), "--to", str(target), "--programs", str(self.root), *more])
+            return code, said.getvalue()
+
+        code, said = configure()
+        self.assertEqual(code, 2)
+        self.assertIn("hosts.txt", said)
+        file.write_bytes(b"\xff\xfe")
+        self.assertEqual(configure()[0], 2)
+        file.write_text("lab.example: es1 es1\n")
+        code, said = configure()
+        self.assertEqual(code, 2)
+        self.assertIn("hosts.txt:1: es1 runs on", said)
+        self.assertFalse(target.exists(), "nothing is written for a wrong file")
+        file.write_text(HOSTS)
+        code, said = configure("--user", "somebody")
+        self.assertEqual(code, 0, said)
+        self.assertIn("systemctl enable --now axon-icegridnode", said)
+        for path in target.rglob("*"):
+            self.assertEqual(path.stat().st_mode & 0o077, 0, path)
+        self.assertEqual(sorted(path.name for path in target.iterdir()),
+                         ["certificates.sh", hosts.PEOPLE, "hall.example", "lab.example"])
+        self.assertEqual([line.split()[0] for line in (target / "lab.example/users.cfg").read_text().splitlines()], ["admin", "entity"])
+        self.assertIn('name="user" value="somebody"', (target / "lab.example/icegrid.xml").read_text())
+        code, said = configure()
+        self.assertEqual(code, 2)
+        self.assertIn("not an empty folder", said)
 
     def test_wrong_words_are_refused(self):
         self.assertEqual(self.run_command("up", "--front-ends", "many")[0], 2)

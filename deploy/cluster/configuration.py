@@ -60,7 +60,7 @@ class Plan:
             return self.base_port + 92 + 3 * int(program[8:]) + {"topics": 0, "publish": 1, "replicas": 2}[which]
         if program == "icegridregistry":
             return self.base_port + 6 + REGISTRY_PORTS.index(which)
-        if program == "icegridnode":
+        if program.startswith("icegridnode"):
             return self.base_port + {"registry": 9}[which]
         if program == "client-router":
             return self.base_port + {"clients": 2, "callbacks": 3}[which]
@@ -83,6 +83,17 @@ class Plan:
         """Where the other programs reach it."""
         return LOOPBACK
 
+    def public_host(self, _router):
+        """Where clients or entities reach it."""
+        return self.listen
+
+    def node_programs(self):
+        return ["icegridnode"]
+
+    def nodes(self):
+        """{node of IceGrid: the programs that it starts}."""
+        return {NODE: [program.name for program in programs(self)]}
+
 
 @dataclasses.dataclass(frozen=True)
 class Program:
@@ -101,9 +112,9 @@ def programs(plan):
     found = []
     if plan.grid:
         found += [Program("icegridregistry", "IceGrid's registry, which programs there are and where",
-                          ("icegridregistry", "--Ice.Config=icegridregistry.cfg"), at("icegridregistry", *REGISTRY_PORTS)),
-                  Program("icegridnode", "IceGrid's node, which starts the other programs",
-                          ("icegridnode", "--Ice.Config=icegridnode.cfg"), at("icegridnode", "registry"))]
+                          ("icegridregistry", "--Ice.Config=icegridregistry.cfg"), at("icegridregistry", *REGISTRY_PORTS))]
+        found += [Program(name, "IceGrid's node, which starts the other programs", ("icegridnode", "--Ice.Config=icegridnode.cfg"),
+                          at(name, "registry")) for name in plan.node_programs()]
     for number, name in enumerate(plan.storm_names(), 1):
         found.append(Program(name, "IceStorm, the topics between the servers",
                              ("icebox", f"--Ice.Config={box_file(plan, number)}"),
@@ -117,7 +128,15 @@ def programs(plan):
     for name, whom, file in (("entity-router", "entities", "glacier2entities.cfg"),
                              ("client-router", "clients", "glacier2clients.cfg")):
         found.append(Program(name, f"Glacier2 for {whom}", ("glacier2router", f"--Ice.Config={file}"),
-                             {whom: (plan.listen, plan.port(name, whom)), **at(name, "callbacks")}, bool(plan.grid)))
+                             {whom: (plan.public_host(name), plan.port(name, whom)), **at(name, "callbacks")}, bool(plan.grid)))
+    return found
+
+
+def folders(plan, names):
+    """Of these programs, below the cluster's own, each after that in which it lies."""
+    found = ["log", "globalservices"]
+    if plan.grid:
+        found += ["run", "db", *(f"db/{name.partition('@')[0]}" for name in names if name.startswith("ice"))]
     return found
 
 
@@ -146,7 +165,7 @@ def storm_file(plan, number):
 
 def public(plan, program, which):
     """The endpoint of a router that the world sees."""
-    return f"{protocol(plan)} -h {plan.listen} -p {plan.port(program, which)}"
+    return f"{protocol(plan)} -h {plan.public_host(program)} -p {plan.port(program, which)}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,10 +192,10 @@ def files(plan, passwords, place=None):
               "entitygl2client.cfg": entity_manager(plan, passwords[ENTITY])}
     if plan.grid:
         place.check()
-        result |= {"icegridregistry.cfg": grid_registry(plan), "icegridnode.cfg": grid_node(plan, place.user == "root"),
+        result |= {"icegridregistry.cfg": grid_registry(plan), "icegridnode.cfg": grid_node(plan, place.user == "root", next(iter(plan.nodes())), plan.node_programs()[0]),
                    "icegridadmin.cfg": grid_admin(plan), "start.sh": START,
-                   "icegrid.xml": grid_application(plan, place.descriptor, {NODE: (
-                       place.variables(plan), [program.name for program in programs(plan)])})}
+                   "icegrid.xml": grid_application(plan, place.descriptor,
+                                                   {node: (place.variables(plan), names) for node, names in plan.nodes().items()})}
     for number, name in enumerate(plan.storm_names(), 1):
         result[box_file(plan, number)] = icebox(plan, number)
         result[storm_file(plan, number)] = icestorm(plan, name)
@@ -383,10 +402,10 @@ IceSSL.TrustOnly.Server.Glacier2.Server={servers}
 
 def certificates(plan):
     """{program: (kind, names)} as axon certs issue takes them. Servers, IceStorm and routers call each other at host()."""
-    grid = {name: ("registry", [plan.host(name)]) for name in ("icegridregistry", "icegridnode")} if plan.grid else {}
+    grid = {name: ("registry", [plan.host(name)]) for name in ("icegridregistry", *plan.node_programs())} if plan.grid else {}
     if not plan.tls:
         return grid
-    routers = {f"{whom}-router": ("router", list(dict.fromkeys((plan.listen, plan.host(f"{whom}-router")))))
+    routers = {f"{whom}-router": ("router", list(dict.fromkeys((plan.public_host(f"{whom}-router"), plan.host(f"{whom}-router")))))
                for whom in ("entity", "client")}
     return {**grid, **{name: ("storm", [plan.host(name)]) for name in plan.storm_names()}, **routers,
             **{name: ("entity-server", [name, plan.host(name)]) for name in plan.entity_server_names()},
@@ -452,14 +471,14 @@ IceGrid.Registry.AdminPermissionsVerifier={GRID_INSTANCE}/NullPermissionsVerifie
 {grid_links(plan, "icegridregistry")}"""
 
 
-def grid_node(plan, as_root, name=NODE, program="icegridnode"):
+def grid_node(plan, as_root, name, program):
     return f"""\
 # A node of IceGrid, which starts the programs of its machine:  icegridnode --Ice.Config=icegridnode.cfg
 IceGrid.Node.Name={name}
 # Where the registry reaches it:
 IceGrid.Node.Endpoints={grid_endpoint(plan, program, "registry")}
 # What it knows of its programs is kept here:
-IceGrid.Node.Data={plan.folder}/db/{program}
+IceGrid.Node.Data={plan.folder}/db/icegridnode
 {ROOT_TOO if as_root else ""}{grid_links(plan, program)}"""
 
 

@@ -7,6 +7,7 @@
 import json
 import os
 import pathlib
+import pwd
 import re
 import shutil
 import signal
@@ -19,7 +20,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 import probe  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
+from laboratory import Laboratory, Process, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
 BIN = programs()
 OF_NODE = ["icestorm1", "icestorm2", "icestorm3", "es1", "es2", "fe1", "fe2", "entity-router", "client-router"]
@@ -131,6 +132,87 @@ class GridTest(unittest.TestCase):
         ours = {int(where.rpartition(":")[2]) for program in found.values() for where in program["ports"].values()}
         for name in ("icegridregistry", "icegridnode"):
             self.assertLessEqual(listening(found[name]["pid"]), ours, name)
+
+
+class SeveralMachinesTest(unittest.TestCase):
+    """The folders of axon-cluster configure, each seen by its machine where it expects it: a mount namespace and an address of
+    loopback stand for each machine."""
+
+    MACHINES = {"127.0.0.2": "icegridregistry icestorm1 fe1 client-router", "127.0.0.3": "icestorm2 es1 entity-router",
+                "127.0.0.4": "icestorm3"}
+
+    def setUp(self):
+        if subprocess.run(["unshare", "--mount", "true"], capture_output=True, check=False).returncode != 0:
+            self.skipTest("mount namespaces cannot be made: it takes root")
+        self.lab = Laboratory(BIN, application="Greeter", ports="%d-%d" % robot_ports(), environment="embedded")
+        self.addCleanup(self.tidy)
+        self.out, self.at = self.lab.folder / "out", self.lab.folder / "at"
+        self.at.mkdir()
+        self.lab.env["PATH"] = f"{BIN}:{self.lab.env['PATH']}"
+
+    def tidy(self):
+        self.lab.end()
+        keep_if_failed(self, self.lab.folder)
+
+    def do(self, *words):
+        done = subprocess.run([str(word) for word in words], env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
+        self.assertEqual(done.returncode, 0, f"{words}: {done.stdout}{done.stderr}")
+        return done.stdout
+
+    def on(self, machine, *words):
+        """The words of a command, as `machine` carries it out. sh becomes the command."""
+        return ["unshare", "--mount", "sh", "-c", 'mount --bind "$1" "$2"; shift 2; exec "$@"', "sh", self.out / machine, self.at, *words]
+
+    def start(self, machine, program):
+        words = self.on(machine, program, f"--Ice.Config={self.at}/{program}.cfg")
+        process = Process(f"{program}-{machine}", words, self.lab.folder, self.lab.env)
+        self.lab.processes.append(process)
+        return process
+
+    def admin(self, words):
+        done = subprocess.run([str(word) for word in self.on("127.0.0.2", "icegridadmin", f"--Ice.Config={self.at}/icegridadmin.cfg", "-e", words)],
+                              env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
+        return done.stdout + done.stderr
+
+    def test_a_robot_is_used_across_three_machines_and_what_is_killed_is_started_again(self):
+        (self.lab.folder / "hosts.txt").write_text("".join(f"{machine}: {programs}\n" for machine, programs in self.MACHINES.items()))
+        self.do(BIN / "axon-cluster", "configure", "--hosts", self.lab.folder / "hosts.txt", "--to", self.out, "--at", self.at,
+                "--user", pwd.getpwuid(os.geteuid()).pw_name, "--base-port", 11000 + os.getpid() % 100 * 200)
+        self.do("sh", self.out / "certificates.sh", self.lab.folder / "certs")
+        application = self.out / "127.0.0.2" / "icegrid.xml"
+        application.write_text(application.read_text().replace('"/usr/bin"', f'"{BIN}"'))
+
+        self.start("127.0.0.2", "icegridregistry")
+        for machine in self.MACHINES:
+            self.start(machine, "icegridnode")
+        for machine in self.MACHINES:
+            wait_until(lambda its=machine: "node is up" in self.admin(f"node ping {its}"), f"the node of {machine} is up", SECONDS)
+        self.assertEqual(self.admin(f"application add '{self.at}/icegrid.xml'"), "")
+
+        people = self.out / "clients_and_entities"
+        for file in ("client.cfg", "entitygl2client.cfg"):
+            (people / file).write_text((people / file).read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={people}/certs"))
+        self.lab.env["AXON_CONFIG"] = str(people / "client.cfg")
+        wait_until(lambda: self.lab.axon("ls")[0] == 0, "a client gets a session", SECONDS)
+        robot = self.lab.folder / "robot"
+        shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
+        (robot / "ports.cfg").write_text(f"Axon.Ports = {self.lab.ports}\n")
+        self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
+        self.lab.start("manager", "axon-entity-manager", "--config", people / "entitygl2client.cfg", "--application", "Greeter",
+                       "--ports", self.lab.ports, "--state", self.lab.folder / "manager-state")
+        self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+
+        def works():
+            status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
+            return status == 0 or print(lines, errors, file=sys.stderr)
+        self.assertTrue(works())
+        for name in ("es1", "icestorm2", "fe1"):
+            pid = int(self.admin(f"server pid {name}"))
+            os.kill(pid, signal.SIGKILL)
+            wait_until(lambda its=name, old=pid: re.fullmatch(r"\d+\n", said := self.admin(f"server pid {its}")) and int(said) != old,
+                       f"{name} is started again", SECONDS)
+            self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+            wait_until(works, f"the robot can be used after the end of {name}", SECONDS)
 
 
 def listening(pid):
