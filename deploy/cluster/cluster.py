@@ -324,8 +324,9 @@ class Cluster:
             for program in of_node:
                 self.wait_until_ready(plan, program, GRID_READY_S)
                 done.append((program, "running" if self.records().get(program.name) == before.get(program.name) else "started"))
-            self.wait_for_topics(plan)
-            self.wait_for_sessions(plan)
+            seconds = GRID_READY_S if plan.grid else READY_S
+            self.wait_for_topics(plan, seconds)
+            self.wait_for_sessions(plan, seconds)
             return done
 
     @staticmethod
@@ -388,7 +389,7 @@ class Cluster:
         elif not any(line.startswith("ready ") for line in processes.said(self.log(program.name), its).splitlines()):
             raise probe.NoAnswer("no line 'ready …' yet")
 
-    def wait_for_topics(self, plan, seconds=READY_S):
+    def wait_for_topics(self, plan, seconds):
         """Every server listens to the others: it is there, and IceStorm knows it."""
         programs = configuration.programs(plan)
         at = next(program.ports["topics"] for program in programs if program.name.startswith("icestorm"))
@@ -400,7 +401,7 @@ class Cluster:
                     raise probe.NoAnswer(f"{found} of {servers} servers listen to {topic}")
         self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs[:-2]])
 
-    def wait_for_sessions(self, plan, seconds=READY_S):
+    def wait_for_sessions(self, plan, seconds):
         """What counts: somebody who knows nothing but client.cfg or entitygl2client.cfg gets a session."""
         def log_in(file):
             router, _, endpoint = self.told(file, "Ice.Default.Router").partition(":")

@@ -261,11 +261,10 @@ IceStorm.LMDB.Path={plan.folder}/db/{name}
 # What the servers are told: any replica.
 IceStorm.ReplicatedTopicManagerEndpoints={":".join(inner(plan, one, "topics") for one in replicas)}
 IceStorm.ReplicatedPublishEndpoints={":".join(inner(plan, one, "publish") for one in replicas)}
-# Seconds until a replica that does not answer is given up, and another one becomes the master. IceBox warns that it does
-# not know these, but IceStorm obeys them.
-IceStorm.Node.MasterTimeout=2
-IceStorm.Node.ElectionTimeout=2
-IceStorm.Node.ResponseTimeout=2
+# Seconds until a replica that does not answer is given up, and another one becomes the master:
+IceStorm.Election.MasterTimeout=2
+IceStorm.Election.ElectionTimeout=2
+IceStorm.Election.ResponseTimeout=2
 """
 
 
