@@ -314,6 +314,8 @@ class SeveralMachines(unittest.TestCase):
         for number, line, said in (
                 (2, "lab.example icegridregistry", "expected MACHINE: PROGRAM"), (2, ": fe1", "no name or IPv4 address"),
                 (2, "0.0.0.0: fe1", "no name or IPv4 address"), (2, "::1: fe1", "no name or IPv4 address"), (2, "-lab: fe1", "no name"),
+                (2, "lab..example: fe1", "no name"), (2, "1.2.3: fe1", "no name"), (2, "1.2.3.256: fe1", "no name"),
+                (2, "lab_1: fe1", "no name"), (2, f"{'x' * 60}.{'y' * 5}: fe1", "no name"),
                 (2, "a b: fe1", "no name"), (2, "../x: fe1", "no name"), (2, "x" * 999 + ": fe1", "no name"),
                 (4, "LAB.example: es1", "is also in line 2"), (4, "hall.example:", "nothing runs on hall.example"),
                 (4, "hall.example: es0", "no program 'es0'"), (4, "hall.example: es10", "no program 'es10'"),

@@ -4,6 +4,7 @@
 Nothing here reads, writes or starts anything.
 """
 import dataclasses
+import ipaddress
 import pathlib
 import re
 import shlex
@@ -11,14 +12,14 @@ import shlex
 import configuration
 from configuration import ENTITY, SERVERS_MAX, STORM_REPLICAS, Misconfigured
 
-MACHINES_MAX = 2 * SERVERS_MAX + STORM_REPLICAS + 3
 SIZE_MAX = 65536
 FOLDER = pathlib.Path("/var/lib/axon-cluster")  # of the units in deploy/systemd
 PROGRAMS = pathlib.Path("/usr/bin")
 ACCOUNT = "axon"
 PEOPLE = "clients_and_entities"  # the folder of their files; no machine can have that name
 OF_MACHINE = "@"  # icegridnode@lab.example is the node there
-NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
+LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?")
+NAME_MAX = 64  # of the CN of a certificate
 NUMBERED = re.compile(r"(fe|es|icestorm)([1-9])")
 ALONE = ("icegridregistry", "client-router", "entity-router")
 EXAMPLE = """\
@@ -69,7 +70,7 @@ def read(text, where, folder=FOLDER, base_port=configuration.BASE_PORT):
         machine, colon, names = (part.strip() for part in line.partition(":"))
         if not colon:
             wrong(number, f"'{shown(line)}': expected MACHINE: PROGRAM …", f"write it as in\n{EXAMPLE}")
-        if not NAME.fullmatch(machine) or machine == "0.0.0.0":
+        if not is_host(machine):
             wrong(number, f"'{shown(machine)}' is no name or IPv4 address of a machine", "name it as the other machines reach it")
         if machine.lower() in machines:
             wrong(number, f"{shown(machine)} is also in line {machines[machine.lower()]}", "write all its programs into one line")
@@ -100,6 +101,16 @@ def read(text, where, folder=FOLDER, base_port=configuration.BASE_PORT):
                   tls=True, grid=True, places=tuple(places.items()))
     plan.check()
     return plan
+
+
+def is_host(name):
+    """A name or IPv4 address for which `axon certs issue` makes a certificate, and that means one machine."""
+    if re.fullmatch(r"[0-9.]+", name):
+        try:
+            return not ipaddress.IPv4Address(name).is_unspecified
+        except ValueError:
+            return False
+    return len(name) <= NAME_MAX and all(map(LABEL.fullmatch, name.split(".")))
 
 
 def shown(text):
