@@ -1,17 +1,25 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Kills each program of a cluster while robots work, and tests the promises of docs/explanation/safety.md.
+"""Kills or freezes each program of a cluster while robots work, and tests the promises of docs/explanation/safety.md.
 
     python3 faults/cluster_faults.py all --trials 20 --entities 4 --json FILE
-    python3 faults/cluster_faults.py kill-front-end --trials 5
+    python3 faults/cluster_faults.py kill-front-end lose-front-end --trials 5
 
-In a trial every robot runs a task of one client, and a program of the cluster is killed (kill -9). Each robot must stop
-within the watchdog + 100 ms, unless its connection to the client does not go through that program; a drill shows that.
-Then the program is started again, and nothing else. Within 5 s the same client must hold and use every robot, the lists
-of all front-end servers must agree, and no other client may be able to check out what it holds.
+In a trial every robot runs a task of one client, and a program of the cluster is killed (kill -9) or frozen (SIGSTOP).
+Each robot must stop within the watchdog + 100 ms, unless its connection to the client does not go through that program; a
+drill shows that. What happens then is the kind's:
+
+    kill-…    the program is started again, and nothing else
+    lose-…    it stays away: another program of its kind takes over
+    freeze-…  as lose-…, or for a program of which there is one only, it goes on after 3 s
+
+Within 5 s the same client must hold and use every robot, the lists of all front-end servers that run must agree, and no
+other client may be able to check out what it holds. At last a program that was away comes back, and the lists of all
+must agree again.
 Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
+import collections
 import json
 import math
 import os
@@ -37,14 +45,26 @@ USABLE_S = 5.0
 REQUEST_S = 2  # so long a request of the client may take: it is tried again
 STALL_MS = 50
 LONG_S = 3600
+FROZEN_S = 3.0  # longer than any time-out of a session
+HARMS = {"kill": "kills", "lose": "kills, and does not start again,", "freeze": "freezes"}
+Kind = collections.namedtuple("Kind", "victim harm promise")
 KINDS = {
-    "kill-icestorm": ("icestorm", "signals go on without it: no robot has to stop"),
-    "kill-client-router": ("client-router", "the client has lost every robot"),
-    "kill-entity-router": ("entity-router", "every Entity Manager has lost its server"),
-    "kill-front-end": ("the client's front-end server", "the client has lost every robot"),
-    "kill-entity-server": ("one entity server", "its entities have lost their server; the others go on"),
+    "kill-icestorm": Kind("icestorm", "kill", "signals go on without it: no robot has to stop"),
+    "kill-client-router": Kind("client-router", "kill", "the client has lost every robot"),
+    "kill-entity-router": Kind("entity-router", "kill", "every Entity Manager has lost its server"),
+    "kill-front-end": Kind("the client's front-end server", "kill", "the client has lost every robot"),
+    "kill-entity-server": Kind("one entity server", "kill", "its entities have lost their server; the others go on"),
+    "lose-front-end": Kind("the client's front-end server", "lose", "another one takes the client, with its robots"),
+    "lose-entity-server": Kind("one entity server", "lose", "another one takes its entities"),
+    "freeze-icestorm": Kind("icestorm", "freeze", "signals go on without it: no robot has to stop"),
+    "freeze-client-router": Kind("client-router", "freeze", "the client has lost every robot"),
+    "freeze-entity-router": Kind("entity-router", "freeze", "every Entity Manager has lost its server"),
+    "freeze-front-end": Kind("the client's front-end server", "freeze", "another one takes the client, with its robots"),
+    "freeze-entity-server": Kind("one entity server", "freeze", "another one takes its entities"),
 }
-ALL_STOP = ("kill-client-router", "kill-entity-router", "kill-front-end")
+# Who they are is found out in each trial, and there are others of their kind.
+FRONT_END, ENTITY_SERVER = KINDS["kill-front-end"].victim, KINDS["kill-entity-server"].victim
+ALL_STOP = ("client-router", "entity-router", FRONT_END)
 
 
 class HostProbe(threading.Thread):
@@ -135,7 +155,7 @@ class Report:
             return "  ".join(f"{key} {value}" for key, value in series.items())
         told = self.as_dict()
         lines = [f"{self.kind}: {self.trials} trials", f"  stops: {line(told['stop_ms'])} ms; kept their chain: {self.kept}",
-                 f"  usable after the restart: {line(told['usable_s'])} s; lists agree: {line(told['lists_agree_s'])} s",
+                 f"  usable again after: {line(told['usable_s'])} s; lists agree: {line(told['lists_agree_s'])} s",
                  f"  causes: {', '.join(f'{cause} {n}' for cause, n in self.causes.items()) or 'none'}"]
         lines += [f"  broken: {sentence}" for sentence in self.violations]
         return "\n".join(lines + ([] if self.violations else ["  kept"]))
@@ -205,24 +225,44 @@ class Run:
         wait_until(lambda: all(entity["state"] == "BUSY" for entity in self.lab.entities()), "every robot is busy", 20)
 
     def victim(self, kind):
-        if kind == "kill-front-end":
-            holder = self.lab.entities()[0]["holder_id"]
-            return holder.split(":")[0]
-        if kind == "kill-entity-server":
+        if kind.victim == FRONT_END:
+            return self.lab.entities()[0]["holder_id"].split(":")[0]
+        if kind.victim == ENTITY_SERVER:
             return self.random.choice(self.lab.server.names("es"))
-        return KINDS[kind][0]
+        return kind.victim
 
     def trial(self, kind, report):
         self.prepare()
         victim = self.victim(kind)
+        replaceable = kind.victim in (FRONT_END, ENTITY_SERVER)
         record = json.loads((self.lab.server.folder / "running.json").read_text())[victim]
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
         begin = time.monotonic()
-        processes.strike(record, signal.SIGKILL, 5.0)
-        self.judge_stops(kind, victim, begin, report)
-        restarted = time.monotonic()
-        self.lab.server.do("restart", victim)
-        self.judge_recovery(victim, restarted, report)
+        if kind.harm == "freeze":
+            processes.strike(record, signal.SIGSTOP, 0)
+        else:
+            processes.strike(record, signal.SIGKILL, 5.0)
+        try:
+            self.judge_stops(kind, victim, begin, report)
+            if kind.harm == "kill":
+                back = time.monotonic()
+                self.lab.server.do("restart", victim)
+                self.judge_recovery(victim, back, "came back", (), report)
+            elif replaceable:
+                self.judge_recovery(victim, begin, "was lost" if kind.harm == "lose" else "froze", (victim,), report)
+            else:
+                time.sleep(max(0.0, begin + FROZEN_S - time.monotonic()))
+        finally:
+            back = time.monotonic()
+            if kind.harm == "freeze":
+                processes.strike(record, signal.SIGCONT, 0)
+        if kind.harm == "lose":
+            self.lab.server.do("restart", victim)
+        if kind.harm == "freeze" and not replaceable:
+            self.judge_recovery(victim, back, "went on", (), report)
+        elif kind.harm != "kill":
+            self.judge_lists(victim, back, "came back", (), report)
+            self.judge_holder(report)
         report.trials += 1
         for robot in self.robots:
             robot.task.end()
@@ -231,7 +271,8 @@ class Run:
     def judge_stops(self, kind, victim, begin, report):
         def all_stopped():
             return all(robot.first_stop(begin) for robot in self.robots)
-        patience = begin + STOP_MS / 1000 + (PATIENCE_S if kind in ALL_STOP else 0.05)
+        everybody = kind.victim in ALL_STOP
+        patience = begin + STOP_MS / 1000 + (PATIENCE_S if everybody else 0.05)
         while not all_stopped() and time.monotonic() < patience:
             time.sleep(0.002)
         for robot in self.robots:
@@ -245,11 +286,11 @@ class Run:
                     if ms - self.probe.overlap_ms(begin, stop[0]) <= STOP_MS:
                         report.late_beside_stall += 1
                     else:
-                        report.violation(f"{robot.name} stopped {ms:.0f} ms after {victim} was killed")
-            elif kind in ALL_STOP:
+                        report.violation(f"{robot.name} stopped {ms:.0f} ms after {victim} was harmed")
+            elif everybody:
                 report.never += 1
-                report.violation(f"{robot.name} did not stop after {victim} was killed")
-        if kind in ALL_STOP:
+                report.violation(f"{robot.name} did not stop after {victim} was harmed")
+        if everybody:
             return
         going = [robot.name for robot in self.robots if not robot.first_stop(begin)]
         if not going:
@@ -261,22 +302,24 @@ class Run:
                 report.kept += 1
             else:
                 report.never += 1
-                report.violation(f"{name} went on without a chain after {victim} was killed: {status} {lines} {errors.strip()}")
+                report.violation(f"{name} went on without a chain after {victim} was harmed: {status} {lines} {errors.strip()}")
 
-    def judge_recovery(self, victim, restarted, report):
-        limit = restarted + USABLE_S
+    def judge_recovery(self, victim, since, how, without, report):
+        """`since`: when the time begins in which everything must be usable; `without`: the programs that are not there."""
+        limit, said = since + USABLE_S, {}  # what each robot was last refused with
 
         def usable(robot):
-            said = "nothing was tried"
+            said[robot.name] = "nothing was tried"
             while time.monotonic() < limit + PATIENCE_S:
-                said = self.hold(robot)
-                if not said:
+                refused = self.hold(robot)
+                if not refused:
                     status, lines, errors = self.lab.axon("run", robot.name, "Wait", "Seconds=0.01")
                     if status == 0:
                         return time.monotonic()
-                    said = f"run: {lines[-1:]} {errors.strip()}"
+                    refused = f"run: {lines[-1:]} {errors.strip()}"
+                said[robot.name] = refused
                 time.sleep(0.05)
-            return Failed(said)
+            return None
 
         for robot in self.robots:  # what still runs would be in the way of the short task
             if robot.task.child.poll() is None:
@@ -284,22 +327,27 @@ class Run:
         ends = self.for_each(usable)
         for robot, end in zip(self.robots, ends):
             if isinstance(end, Exception):
-                report.violation(f"{robot.name} is not usable {USABLE_S + PATIENCE_S:g} s after {victim} came back: {end}")
-            elif end > limit:
-                report.violation(f"{robot.name} was usable only {end - restarted:.1f} s after {victim} came back")
-        moments = [end for end in ends if not isinstance(end, Exception)]
+                raise end
+            if end is None or end > limit:
+                when = "is not usable" if end is None else f"was usable only {end - since:.1f} s"
+                report.violation(f"{robot.name} {when} after {victim} {how}: {said[robot.name]}")
+        moments = [end for end in ends if end is not None]
         if len(moments) == len(ends):
-            report.usable_s.append(max(moments) - restarted)
-        self.judge_lists(victim, restarted, report)
+            report.usable_s.append(max(moments) - since)
+        self.judge_lists(victim, since, how, without, report)
+        self.judge_holder(report)
+
+    def judge_holder(self, report):
         for name in self.names:
             status, lines, _ = self.lab.axon("checkout", name, env=self.other)
             if status == 0:
                 report.violation(f"{name} was given to a second client: {lines[-1:]}")
                 self.lab.axon("release", name, env=self.other)
 
-    def judge_lists(self, victim, restarted, report):
+    def judge_lists(self, victim, since, how, without, report):
         """What each front-end server says that there is and who holds it, asked directly."""
-        front_ends = [program for program in self.lab.server.status["programs"] if program["name"].startswith("fe")]
+        front_ends = [program for program in self.lab.server.status["programs"]
+                      if program["name"].startswith("fe") and program["name"] not in without]
 
         def listed(front_end):
             _, lines, _ = self.lab.axon("--server", front_end["ports"]["data"], "ls", env=self.direct)
@@ -308,10 +356,10 @@ class Run:
         while True:
             lists = {front_end["name"]: listed(front_end) for front_end in front_ends}
             if all(told == next(iter(lists.values())) and len(told) == len(self.robots) for told in lists.values()):
-                report.agree_s.append(time.monotonic() - restarted)
+                report.agree_s.append(time.monotonic() - since)
                 return
-            if time.monotonic() > restarted + USABLE_S + PATIENCE_S:
-                report.violation(f"the front-end servers do not agree after {victim} came back: {lists}")
+            if time.monotonic() > since + USABLE_S + PATIENCE_S:
+                report.violation(f"the front-end servers do not agree after {victim} {how}: {lists}")
                 return
             time.sleep(0.05)
 
@@ -330,8 +378,8 @@ def main():
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "release" / "bin", help="folder of the programs")
     options = parser.parse_args()
     if options.list:
-        for kind, (what, promise) in KINDS.items():
-            print(f"{kind:<20} kills {what}: {promise}")
+        for name, kind in KINDS.items():
+            print(f"{name:<21} {HARMS[kind.harm]} {kind.victim}: {kind.promise}")
         return 0
     kinds = list(KINDS) if options.kinds == ["all"] else options.kinds
     for kind in kinds:
@@ -349,7 +397,7 @@ def main():
             for number in range(options.trials):
                 if sys.stderr.isatty():
                     print(f"\r\033[K{kind}: {number} of {options.trials}", end="", file=sys.stderr, flush=True)
-                run.trial(kind, reports[-1])
+                run.trial(KINDS[kind], reports[-1])
             if sys.stderr.isatty():
                 print("\r\033[K", end="", file=sys.stderr)
             print(reports[-1].text(), flush=True)

@@ -291,9 +291,10 @@ Glacier2.PermissionsVerifier.ConnectionCached=0
 Glacier2.SessionManager.ConnectionCached=0
 {router_tls(plan, proxies, name) if plan.tls else ""}# A client of the router can call its own session and nothing else:
 Glacier2.Filter.Identity.Accept={instance}/none
-# Seconds of silence after which a session ends. The servers' watchdogs are much faster:
-Glacier2.SessionTimeout=2
-Glacier2.Client.ACM.Timeout=1
+# Seconds of silence after which a connection and its session end, which is also how long a log-in may take. The servers'
+# watchdogs are much faster:
+Glacier2.SessionTimeout=4
+Glacier2.Client.ACM.Timeout=4
 Glacier2.Client.ACM.Heartbeat=0
 Glacier2.Client.ACM.Close=4
 # The thread that reads a message also passes it on, at once:
@@ -311,10 +312,15 @@ Ice.ThreadPool.Client.Serialize=1
 Ice.ThreadPool.Server.Size=4
 Ice.ThreadPool.Server.SizeMax=16
 Ice.ThreadPool.Server.Serialize=1
-# The connections to the servers last as long as their sessions; a server that does not answer is given up after 2 s:
-Ice.ACM.Client.Close=0
-Ice.ACM.Client.Heartbeat=3
-Ice.Override.ConnectTimeout=2000
+# The connections to the servers last as long as their sessions. A server that stands still is given up, so that another
+# one is chosen: after a second without a sign of life in a call, or 0.3 s without an answer to a new connection.
+# (Heartbeats of the router's own would count as such signs.)
+Ice.ACM.Client.Timeout=1
+Ice.ACM.Client.Close=2
+Ice.ACM.Client.Heartbeat=0
+Ice.Override.ConnectTimeout=300
+# Tries to reach a server, in milliseconds after one that failed:
+Ice.RetryIntervals=0 200 500
 Ice.Warn.Connections=0
 # As in every process of Axon, in KiB:
 Ice.MessageSizeMax={MESSAGE_SIZE_MAX}

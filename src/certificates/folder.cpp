@@ -269,7 +269,15 @@ std::string configuration(const Request& request, const std::string& stem, const
                    "IceSSL.TrustOnly=OU=registry,O=Axon\n";
             break;
         case Kind::Router:
-            text = "# The certificate of the router " + name + ": glacier2router --Ice.Config=FILE,…\n";
+            text = "# The certificate of the router " + name +
+                   ": glacier2router --Ice.Config=FILE,…\n"
+                   "# Only servers are called, and only servers send messages for those who connect. Before "
+                   "several servers\n"
+                   "# leave in both lines the kind of those behind this router: front-end before clients,\n"
+                   "# entity-server before Entity Managers.\n"
+                   "IceSSL.TrustOnly.Client=OU=server,O=Axon;OU=front-end,O=Axon;OU=entity-server,O=Axon\n"
+                   "IceSSL.TrustOnly.Server.Glacier2.Server=OU=server,O=Axon;OU=front-end,O=Axon;"
+                   "OU=entity-server,O=Axon\n";
             break;
     }
     text +=

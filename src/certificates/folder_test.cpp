@@ -97,6 +97,17 @@ TEST_F(CertificateFolder, TheFileOfIceGridAdmitsIceGridOnly) {
     EXPECT_THAT(contentOf(registry.files.back()), HasSubstr("\nIceSSL.TrustOnly=OU=registry,O=Axon\n"));
 }
 
+TEST_F(CertificateFolder, TheFileOfARouterAdmitsServersOnlyBehindIt) {
+    folder.init(kNow, false);
+    const auto router = folder.issue({Kind::Router, {"lab"}}, kNow, false);
+    const std::string servers = "OU=server,O=Axon;OU=front-end,O=Axon;OU=entity-server,O=Axon\n";
+    const auto configuration = contentOf(router.files.back());
+    EXPECT_THAT(configuration, HasSubstr("\nIceSSL.TrustOnly.Client=" + servers));
+    EXPECT_THAT(configuration, HasSubstr("\nIceSSL.TrustOnly.Server.Glacier2.Server=" + servers));
+    EXPECT_THAT(configuration, testing::Not(HasSubstr("IceSSL.TrustOnly.Server=")))
+        << "clients connect to its other port";
+}
+
 TEST_F(CertificateFolder, OverwritesNothingUnlessItIsForced) {
     folder.init(kNow, false);
     const auto authority = contentOf(folder.path() / "ca.key.pem");

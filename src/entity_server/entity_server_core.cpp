@@ -616,6 +616,12 @@ std::vector<std::string> EntityServerCore::margins() const {
     return lines;
 }
 
+std::shared_ptr<const std::string> EntityServerCore::serverOf(const std::string& entity, Lane lane) const {
+    if (auto at = elsewhere_.serverOf(entity, lane)) return at;
+    if (!table_.find(entity, index(lane))) return nullptr;
+    return {std::shared_ptr<const void>(), &settings_.name};  // which lives as long as this object
+}
+
 std::size_t EntityServerCore::entities() const {
     const std::lock_guard lock(mutex_);
     return registered_.size();

@@ -145,6 +145,8 @@ class EntityServerCore {
     /// Publishes what others have left behind.
     void publishPending();
 
+    /// Which entity server has it, this one included, as far as is known here; null: none. Without a lock.
+    std::shared_ptr<const std::string> serverOf(const std::string& entity, Lane lane) const;
     std::size_t entities() const;
     /// For people, a line for each entity: how near its watchdog came to its end, and its stop latency.
     std::vector<std::string> margins() const;

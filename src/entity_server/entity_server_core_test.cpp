@@ -1084,6 +1084,21 @@ TEST_F(OtherEntityServers, WhatComesForAnEntityThatHasLeftIsRefusedToItsSender) 
     EXPECT_THAT(sender.data->lines, ElementsAre("refused UNKNOWN_ENTITY"));
 }
 
+TEST_F(OtherEntityServers, KnowsForBothLanesWhichServerHasAnEntityItselfIncluded) {
+    const auto here = join(kFirst);
+    hear(Lane::Data, "es2", {kSecond});
+    for (const auto lane : {Lane::Data, Lane::Signal}) {
+        EXPECT_EQ(*core.serverOf(kFirst, lane), "es1");
+        EXPECT_EQ(*core.serverOf(kSecond, lane), "es2");
+        EXPECT_EQ(core.serverOf("nobody", lane), nullptr);
+    }
+    core.leave(here.session, true, "it left");
+    hear(Lane::Data, "es2", {});
+    hear(Lane::Data, "es3", {kFirst});
+    EXPECT_EQ(*core.serverOf(kFirst, Lane::Data), "es3") << "it moved";
+    EXPECT_EQ(core.serverOf(kSecond, Lane::Data), nullptr);
+}
+
 TEST_F(OtherEntityServers, TheLastWhoSaysSoHasTheEntity) {
     const auto master = join(kFirst, "Master");
     hear(Lane::Data, "es2", {kSecond});

@@ -344,10 +344,20 @@ void FrontEndToEntityServant::entityServerUpdate(Axon::CommUtil::ServerAnnouncem
     if (links_ != nullptr && !links_->speaksAs(current, server.name, transport::kAnnounced)) return;
     core_.entityServerUpdate(lane_, fromIce(std::move(server)), entities);
 }
-void FrontEndToEntityServant::peerMsg(IceHeader head, ByteRange message, const Ice::Current&) {
+bool FrontEndToEntityServant::ofItsEntity(const std::string& entity, const char* what,
+                                          const Ice::Current& current) const {
+    return links_ == nullptr || links_->mayTellOf(current, entity, core_.serverOf(entity, lane_).get(), what);
+}
+void FrontEndToEntityServant::peerMsg(IceHeader head, ByteRange message, const Ice::Current& current) {
+    if (!ofItsEntity(head.sender.id, "sends a message of", current)) return;
     core_.peerMsg(lane_, fromIce(std::move(head)), toView(message));
 }
-void FrontEndToEntityServant::peerRefusal(IceHeader head, int code, std::string reason, const Ice::Current&) {
+void FrontEndToEntityServant::peerRefusal(IceHeader head, int code, std::string reason,
+                                          const Ice::Current& current) {
+    // A server that the entity has left says that it is unknown there.
+    if (static_cast<RefusalCode>(code) != RefusalCode::UnknownEntity &&
+        !ofItsEntity(head.entity, "refuses in the name of", current))
+        return;
     core_.peerRefusal(lane_, fromIce(std::move(head)),
                       {static_cast<RefusalCode>(code), std::move(reason), {}});
 }

@@ -194,6 +194,8 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
   private:
     /// Whether the caller is the front-end server of the client that the head names.
     bool ofItsClient(const Axon::CommUtil::Header& head, const Ice::Current& current) const;
+    /// Whether the caller is the server of this entity.
+    bool ofItsEntity(const std::string& entity, const char* what, const Ice::Current& current) const;
 
     EntityServerCore& core_;
     const Lane lane_;

@@ -129,6 +129,10 @@ class FrontEndCore {
     /// For people, a line for each client: how close its watchdog came to tripping in the last minute.
     std::vector<std::string> margins() const;
 
+    /// Which entity server has it, as far as is known here; null: none. Without a lock.
+    std::shared_ptr<const std::string> serverOf(const std::string& entity, Lane lane) const {
+        return entities_.serverOf(entity, lane);
+    }
     std::size_t clients() const;
     std::size_t entities() const;
     const FrontEndCoreSettings& settings() const { return settings_; }

@@ -1644,6 +1644,16 @@ TEST_F(OneOfSeveral, AMessageGoesToTheServerThatHasTheEntityNow) {
     EXPECT_EQ(topic.at, "es2");
 }
 
+TEST_F(OneOfSeveral, KnowsForBothLanesWhichServerHasAnEntity) {
+    for (const auto lane : {Lane::Data, Lane::Signal}) EXPECT_EQ(several.serverOf("e1", lane), nullptr);
+    entityAt("es1", "e1");
+    for (const auto lane : {Lane::Data, Lane::Signal}) EXPECT_EQ(*several.serverOf("e1", lane), "es1");
+    entityAt("es2", "e1");
+    for (const auto lane : {Lane::Data, Lane::Signal}) EXPECT_EQ(*several.serverOf("e1", lane), "es2");
+    entityAt("es2", "e1", Presence::Left);
+    for (const auto lane : {Lane::Data, Lane::Signal}) EXPECT_EQ(several.serverOf("e1", lane), nullptr);
+}
+
 TEST_F(OneOfSeveral, AsksEverybodyWhenTheTopicIsFound) {
     several.topicFound();
     EXPECT_THAT(topic.take(), ElementsAre("request"));

@@ -255,15 +255,26 @@ void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, 
     if (links_ != nullptr && !links_->speaksAs(current, status.server, "tells of an entity of")) return;
     core_.entityUpdate(fromIce(std::move(status)), transport::whole(number), via_);
 }
+bool EntityToFrontEndServant::ofItsEntity(const IceHeader& head, const char* what,
+                                          const Ice::Current& current) const {
+    return links_ == nullptr ||
+           links_->mayTellOf(current, head.entity, core_.serverOf(head.entity, lane_).get(), what);
+}
 void EntityToFrontEndServant::entityMsg(Axon::CommUtil::Lane lane, IceHeader head, ByteRange message,
-                                        const Ice::Current&) {
+                                        const Ice::Current& current) {
+    if (!ofItsEntity(head, "sends a message of", current)) return;
     core_.entityMsg(fromIce(lane), fromIce(std::move(head)), toView(message));
 }
-void EntityToFrontEndServant::entityMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current&) {
+void EntityToFrontEndServant::entityMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
+    if (!ofItsEntity(head, "sends data of", current)) return;
     core_.entityMsgDataSeq(fromIce(std::move(head)), toView(data));
 }
 void EntityToFrontEndServant::entityRefusal(IceHeader head, int code, std::string reason,
-                                            const Ice::Current&) {
+                                            const Ice::Current& current) {
+    // A server that the entity has left says that it is unknown there.
+    if (static_cast<RefusalCode>(code) != RefusalCode::UnknownEntity &&
+        !ofItsEntity(head, "refuses in the name of", current))
+        return;
     core_.entityRefusal(lane_, fromIce(std::move(head)),
                         {static_cast<RefusalCode>(code), std::move(reason), {}});
 }

@@ -170,6 +170,9 @@ class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndC
     void entityServerUpdate(Axon::CommUtil::ServerAnnouncement server, const Ice::Current&) override;
 
   private:
+    /// Whether the caller is the server of the entity that the head names.
+    bool ofItsEntity(const Axon::CommUtil::Header& head, const char* what, const Ice::Current& current) const;
+
     FrontEndCore& core_;
     const Lane lane_;
     const Via via_;

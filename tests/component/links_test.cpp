@@ -6,8 +6,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
+#include <atomic>
+#include <cerrno>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -15,6 +19,7 @@
 #include <iomanip>
 #include <iterator>
 #include <memory>
+#include <random>
 #include <set>
 #include <sstream>
 
@@ -25,6 +30,8 @@
 #include "server/server.hpp"
 #include "support/log_lines.hpp"
 #include "support/logged_program.hpp"
+#include "transport/ice/adapter.hpp"
+#include "transport/sessions/router_servants.hpp"
 
 namespace axon::test {
 namespace {
@@ -59,7 +66,7 @@ class Links : public testing::Test {
   protected:
     Links() {
         kLog->clear();
-        ours.init(now(), false);
+        ours.init(now() - std::chrono::days{500}, false);  // long enough for a certificate that has expired
         others.init(now(), false);
     }
     ~Links() override {
@@ -452,6 +459,164 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
     EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
 }
 
+/// An entity server of its own certificate that is nothing else: it may call, and says what it is told to.
+class EntitiesOfOthers : public Links {
+  protected:
+    struct Stranger {
+        Ice::CommunicatorHolder communicator;
+        std::shared_ptr<FrontEndPrx> at_front_end, signals_at_front_end;
+        std::shared_ptr<EntityPrx> at_entity_server, signals_at_entity_server;
+    };
+    Stranger stranger(const std::string& name) const {
+        Stranger its;
+        its.communicator = communicator(issued(Kind::EntityServer, name));
+        const auto at = [&](const std::string& identity, int port) {
+            return its.communicator->stringToProxy(identity + ":" + ssl(port));
+        };
+        its.at_front_end = Ice::uncheckedCast<FrontEndPrx>(at("FrontEndServerStraight/fe1", kFrontEnd));
+        its.signals_at_front_end =
+            Ice::uncheckedCast<FrontEndPrx>(at("FrontEndServerStraight/fe1", kFrontEndSignal));
+        its.at_entity_server = Ice::uncheckedCast<EntityPrx>(at("EntityServerStraight/es1", kEntityServer));
+        its.signals_at_entity_server =
+            Ice::uncheckedCast<EntityPrx>(at("EntityServerStraight/es1", kEntityServerSignal));
+        return its;
+    }
+    /// es1 is told again, because a server that says nothing more is soon given up.
+    static void has(const Stranger& its, const std::string& name, const std::string& entity) {
+        Axon::CommUtil::ServerAnnouncement self{};
+        self.name = name;
+        self.instance = "one";
+        its.at_entity_server->entityServerUpdate(self, {entity});
+    }
+    /// The connections of `proxy` and the number of refusals before and after `call`, which is refused
+    /// because of `why` without an end to the connection. The log has a bound for each second.
+    template <class Proxy>
+    static void isDropped(const server::Server& by, const std::shared_ptr<Proxy>& proxy,
+                          const std::function<void()>& call, const std::string& why) {
+        const auto connection = proxy->ice_getConnection();
+        EXPECT_TRUE(isRefused(
+            by,
+            [&] {
+                call();  // twoway: it is over when this returns
+                return false;
+            },
+            why))
+            << why << "\n"
+            << kLog->all();
+        EXPECT_EQ(proxy->ice_getConnection(), connection) << "it is not disconnected";
+        EXPECT_NO_THROW(connection->throwException());
+    }
+};
+
+TEST_F(EntitiesOfOthers, AreNotSpokenForToClients) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    const auto es9 = stranger("es9");
+    Axon::CommUtil::Header head{};
+    head.sender.id = client->facts.me.id;
+    head.entity = kFirst;
+    head.msgType = kMsgText;
+    head.seq = 77;
+    using Axon::CommUtil::Lane::Data;
+    using Axon::CommUtil::Lane::Signal;
+    const auto which = [](const std::string& what) {
+        return "the entity-server 'es9' " + what + " the entity '" + kFirst + "', which the server 'es1' has";
+    };
+    isDropped(
+        *fe1, es9.at_front_end, [&] { es9.at_front_end->entityMsg(Data, head, toRange("forged")); },
+        which("sends a message of"));
+    isDropped(
+        *fe1, es9.signals_at_front_end,
+        [&] { es9.signals_at_front_end->entityMsg(Signal, head, toRange("forged")); },
+        which("sends a message of"));
+    isDropped(
+        *fe1, es9.at_front_end, [&] { es9.at_front_end->entityMsgDataSeq(head, toRange("forged")); },
+        which("sends data of"));
+    const auto code = static_cast<int>(RefusalCode::NotConnected);
+    isDropped(
+        *fe1, es9.at_front_end, [&] { es9.at_front_end->entityRefusal(head, code, "forged"); },
+        which("refuses in the name of"));
+    EXPECT_TRUE(audited("fe1", which("sends a message of"))) << trailOf("fe1");
+    EXPECT_TRUE(audited("fe1", which("refuses in the name of"))) << trailOf("fe1");
+
+    // What it may say on the same connection: that it does not know the entity, and what nobody else has.
+    es9.at_front_end->entityRefusal(head, static_cast<int>(RefusalCode::UnknownEntity), "it left");
+    EXPECT_TRUE(waitUntil([&] { return client->log.has("refused"); })) << "the entity has left that server";
+    head.entity = kSecond;
+    es9.at_front_end->entityMsg(Data, head, toRange("not yet told"));
+    EXPECT_TRUE(waitUntil([&] { return client->log.has(std::string("data msg ") + kSecond); }));
+    EXPECT_EQ(client->log.count("refused"), 1U);
+    EXPECT_FALSE(client->log.has(std::string("data msg ") + kFirst + " forged"));
+    EXPECT_FALSE(client->log.has(std::string("signal msg ") + kFirst + " forged"));
+    EXPECT_FALSE(client->log.has("data 77"));
+
+    robot->dataOneway()->sendToClient(transport::toIce(robot->headTo(client->facts.me.id)), toRange("yes"));
+    EXPECT_TRUE(waitUntil([&] { return client->log.has(std::string("data msg ") + kFirst + " yes"); }));
+    robot->dataOneway()->sendToClientDataSeq(transport::toIce(robot->headTo(client->facts.me.id)),
+                                             toRange("data"));
+    EXPECT_TRUE(waitUntil([&] { return client->log.has("data 0"); })) << "its own server speaks for it";
+    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+}
+
+TEST_F(EntitiesOfOthers, AreNotSpokenForToEntities) {
+    startServers();
+    const auto robot = newRobot();
+    const auto es2 = stranger("es2");
+    const auto es9 = stranger("es9");
+    Axon::CommUtil::Header head{};
+    head.sender.id = kSecond;
+    head.sender.name = "Second";
+    head.entity = kFirst;
+    head.msgType = kMsgText;
+    isDropped(
+        *es1, es9.at_entity_server,
+        [&] {
+            has(es2, "es2", kSecond);
+            es9.at_entity_server->peerMsg(head, toRange("forged"));
+        },
+        std::string("the entity-server 'es9' sends a message of the entity '") + kSecond +
+            "', which the server 'es2' has");
+    isDropped(
+        *es1, es9.signals_at_entity_server,
+        [&] {
+            has(es2, "es2", kSecond);
+            es9.signals_at_entity_server->peerMsg(head, toRange("forged"));
+        },
+        "which the server 'es2' has");
+    head.sender.id = kFirst;
+    isDropped(
+        *es1, es9.at_entity_server, [&] { es9.at_entity_server->peerMsg(head, toRange("forged")); },
+        "which the server 'es1' has");
+    EXPECT_TRUE(audited("es1", "which the server 'es2' has")) << trailOf("es1");
+
+    // A refusal has the head of the message that is refused.
+    head.entity = kSecond;
+    const auto code = static_cast<int>(RefusalCode::Overloaded);
+    isDropped(
+        *es1, es9.at_entity_server,
+        [&] {
+            has(es2, "es2", kSecond);
+            es9.at_entity_server->peerRefusal(head, code, "forged");
+        },
+        "the entity-server 'es9' refuses in the name of the entity '" + std::string(kSecond));
+    EXPECT_FALSE(robot->log.has("refused"));
+    es9.at_entity_server->peerRefusal(head, static_cast<int>(RefusalCode::UnknownEntity), "it left");
+    EXPECT_TRUE(waitUntil([&] { return robot->log.count("refused") == 1; }));
+
+    has(es2, "es2", kSecond);
+    es2.at_entity_server->peerRefusal(head, code, "slow");
+    EXPECT_TRUE(waitUntil([&] { return robot->log.count("refused") == 2; }));
+    head.sender.id = kSecond;
+    head.entity = kFirst;
+    es2.at_entity_server->peerMsg(head, toRange("step"));
+    EXPECT_TRUE(waitUntil([&] { return robot->log.has("msg Second TEXT step"); }));
+    EXPECT_FALSE(robot->log.has("msg Second TEXT forged"));
+    EXPECT_FALSE(robot->log.has("signal msg Second TEXT forged"));
+}
+
 TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
     startStorm();
     startServers();
@@ -624,6 +789,446 @@ TEST_F(Links, MisconfigurationIsToldWithItsMend) {
     its.ice_properties = issued(Kind::Server, loopbackAddress());
     EXPECT_THAT(complaint(its), HasSubstr("expected that of the front-end 'fe1'"));
 }
+
+/// Somebody opens many connections to the ports for other servers, and does not finish a handshake.
+class FloodOfLinks : public Links {
+  protected:
+    FloodOfLinks() {
+        // A server lets a quarter of its descriptors be strangers', and half of these be of one address.
+        ::getrlimit(RLIMIT_NOFILE, &before_);
+        const rlimit fewer{1024, before_.rlim_max};
+        EXPECT_EQ(::setrlimit(RLIMIT_NOFILE, &fewer), 0);
+    }
+    ~FloodOfLinks() override {
+        for (const int one : flood) ::close(one);
+        ::setrlimit(RLIMIT_NOFILE, &before_);
+    }
+    static constexpr std::size_t kOfOneAddress = 128;
+    void floodOf(std::size_t count, int port) {
+        for (std::size_t i = 0; i < count; ++i) {
+            const int its = connectedTo(port);
+            ASSERT_GE(its, 0);
+            // The beginning of a TLS handshake, for half of them.
+            if (i % 2 == 0) EXPECT_EQ(::send(its, "\x16\x03\x01\x02", 4, MSG_NOSIGNAL), 4);
+            flood.push_back(its);
+        }
+    }
+    /// How many stand; each of the newest sends one more byte.
+    std::size_t open() {
+        std::size_t found = 0;
+        for (std::size_t i = 0; i < flood.size(); ++i) {
+            char byte = 0;
+            const auto got = ::recv(flood[i], &byte, 1, MSG_DONTWAIT);
+            const bool stands = got > 0 || (got < 0 && (errno == EAGAIN || errno == EWOULDBLOCK));
+            found += stands ? 1 : 0;
+            if (stands && i % 2 == 0 && i + 8 >= flood.size()) ::send(flood[i], "\0", 1, MSG_NOSIGNAL);
+        }
+        return found;
+    }
+    std::vector<int> flood;
+
+  private:
+    rlimit before_{};
+};
+
+TEST_F(FloodOfLinks, IsBoundedAndWhoeverFinishesNoHandshakeIsDisconnectedWhileHonestServersGoOn) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    const auto signals = openTo(kFrontEndSignal);
+    const auto messages = openTo(kFrontEnd);
+    ASSERT_FALSE(signals.empty());
+    ASSERT_FALSE(messages.empty());
+    floodOf(150, kFrontEnd);
+    floodOf(150, kFrontEndSignal);
+    EXPECT_TRUE(waitUntil([&] { return open() <= kOfOneAddress; }, 30s)) << open();
+    EXPECT_TRUE(logged("more than 128 of one address without a session")) << kLog->all();
+    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open() << " handshakes go on";
+    EXPECT_TRUE(waitUntil([&] { return kLog->has("no session in 10 s"); }, 30s)) << kLog->all();
+    EXPECT_TRUE(audited("fe1", "without a session")) << trailOf("fe1");
+    EXPECT_THAT(openTo(kFrontEndSignal), testing::IsSupersetOf(signals)) << "those of the server go on";
+    EXPECT_THAT(openTo(kFrontEnd), testing::IsSupersetOf(messages)) << "also where nothing is sent";
+    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_EQ(refused(*es1), 0);
+}
+
+TEST_F(FloodOfLinks, WithoutTlsIsBoundedToo) {
+    auto its = settings(ServerRole::FrontEnd, "fe1");
+    its.topic_endpoint = loopbackAddress() + ":" + std::to_string(kFrontEnd);
+    its.topic_signal_endpoint = loopbackAddress() + ":" + std::to_string(kFrontEndSignal);
+    its.topic_manager = "IceStorm/TopicManager:tcp -h 127.0.0.1 -p 10430";
+    fe1 = std::make_unique<server::Server>(its);
+    const auto neighbour = communicator({});
+    const auto proxy = neighbour->stringToProxy("FrontEndServerStraight/fe1:tcp -h " + loopbackAddress() +
+                                                " -p " + std::to_string(kFrontEnd));
+    proxy->ice_ping();
+    const auto connection = proxy->ice_getConnection();
+    floodOf(200, kFrontEnd);
+    EXPECT_TRUE(waitUntil([&] { return open() <= kOfOneAddress; }, 30s)) << open();
+    EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open();
+    EXPECT_NO_THROW(connection->throwException()) << "who has called is a server";
+    proxy->ice_ping();
+    EXPECT_EQ(proxy->ice_getConnection(), connection);
+}
+
+/// What comes to every port of a front-end server and of an entity server that speaks TLS, and is no
+/// handshake.
+class AbuseOfPorts : public FloodOfLinks {
+  protected:
+    struct Port {
+        std::string name, server;  // of the audit trail
+        int number;
+    };
+    static int portOf(const std::string& address) {
+        return std::stoi(address.substr(address.rfind(':') + 1));
+    }
+    std::vector<Port> ports() const {
+        return {{"other servers", "fe1", kFrontEnd},
+                {"signals of other servers", "fe1", kFrontEndSignal},
+                {"other servers", "es1", kEntityServer},
+                {"signals of other servers", "es1", kEntityServerSignal},
+                {"clients", "fe1", portOf(fe1->clientAddress(Lane::Data))},
+                {"signals of clients", "fe1", portOf(fe1->clientAddress(Lane::Signal))},
+                {"Entity Managers", "es1", portOf(es1->entityAddress(Lane::Data))},
+                {"signals of Entity Managers", "es1", portOf(es1->entityAddress(Lane::Signal))}};
+    }
+    /// Nothing that is accepted: what other protocols say, broken records of TLS, and noise.
+    static std::vector<std::string> rubbish() {
+        const auto record = [](const std::string& head, const std::string& rest) { return head + rest; };
+        std::vector<std::string> all{
+            std::string("IceP\x01\x00\x01\x00\x00\x00\x20\x00\x00\x00", 14),
+            "GET / HTTP/1.1\r\nHost: lab\r\n\r\n",
+            std::string("\x80\x2e\x01\x00\x02\x00\x15\x00\x00\x00\x10", 11),  // SSL 2
+            record(std::string("\x16\x03\x01\xff\xff", 5),
+                   std::string(70000, 'x')),                                       // longer than any record
+            record(std::string("\x16\x03\x01\x00\x00", 5), ""),                    // empty
+            record(std::string("\x15\x03\x03\x00\x02\x02\x28", 7), ""),            // an alert
+            record(std::string("\x17\x03\x03\x00\x10", 5), std::string(16, 'x')),  // data before a handshake
+            std::string(1, '\0'),
+            ""};
+        std::mt19937 random(7);
+        const auto noise = [&random](std::size_t bytes) {
+            std::string its;
+            for (std::size_t i = 0; i < bytes; ++i) its += static_cast<char>(random());
+            return its;
+        };
+        for (int i = 0; i < 20; ++i) all.push_back(noise(1 + random() % 600));
+        for (int i = 0; i < 20; ++i) {
+            const auto body = noise(4 + random() % 500);
+            const auto length = body.size() - random() % 4;  // and a little more than it says
+            all.push_back(record(std::string("\x16\x03\x01", 3), "") + static_cast<char>(length >> 8U) +
+                          static_cast<char>(length & 0xFFU) + "\x01" + body);
+        }
+        return all;
+    }
+    /// Sends it and nothing more; the own address, as the server sees it. Empty where the server goes on
+    /// talking.
+    static std::string refusedAddress(int port, const std::string& sent) {
+        const int its = connectedTo(port);
+        if (its < 0) return {};
+        sockaddr_in own{};
+        socklen_t size = sizeof own;
+        ::getsockname(its, reinterpret_cast<sockaddr*>(&own), &size);
+        char host[INET_ADDRSTRLEN] = {};
+        inet_ntop(AF_INET, &own.sin_addr, host, sizeof host);
+        ::send(its, sent.data(), sent.size(), MSG_NOSIGNAL);
+        ::shutdown(its, SHUT_WR);
+        const timeval patience{30, 0};
+        ::setsockopt(its, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+        std::string said;
+        char byte = 0;
+        ssize_t got = 0;
+        while ((got = ::recv(its, &byte, 1, 0)) == 1) said += byte;
+        const bool closed = got == 0 || errno == ECONNRESET;
+        ::close(its);
+        if (!closed || said.find("IceP") != std::string::npos) return {};
+        return std::string(host) + ":" + std::to_string(ntohs(own.sin_port));
+    }
+};
+
+TEST_F(AbuseOfPorts, NoRubbishComesInAndEachIsRecordedWithItsAddress) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    const auto all = rubbish();
+    for (const auto& port : ports()) {
+        SCOPED_TRACE("the port for " + port.name + " of " + port.server);
+        floodOf(2, port.number);  // half-open, one of them a byte at a time
+        std::vector<std::string> addresses;
+        for (std::size_t i = 0; i < all.size(); ++i) {
+            addresses.push_back(refusedAddress(port.number, all[i]));
+            EXPECT_FALSE(addresses.back().empty()) << "case " << i << " of " << all[i].size() << " bytes";
+        }
+        std::string missing;
+        EXPECT_TRUE(waitUntil(
+            [&] {
+                const auto trail = trailOf(port.server);
+                missing.clear();
+                for (std::size_t i = 0; i < all.size(); ++i)
+                    if (trail.find('"' + addresses[i] + '"') == std::string::npos)
+                        missing += " " + std::to_string(i);
+                return missing.empty();
+            },
+            20s))
+            << "not recorded:" << missing;
+        EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    }
+    EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open() << " half-open ones stand";
+    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+}
+
+TEST_F(AbuseOfPorts, NoCertificateThatIsNotValidComesIn) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    const auto ca = (ours.path() / "ca.cert.pem").string();
+    const auto expired = [&](Kind kind, const std::string& name) {
+        std::vector<std::string> names{name};
+        if (isNamedServer(kind)) names.push_back(loopbackAddress());
+        const auto properties = Ice::createProperties();
+        properties->load(
+            ours.issue({kind, names}, now() - std::chrono::days{400}, true).files.back().string());
+        return properties->getPropertiesForPrefix("Ice");
+    };
+    const auto foreign = [&](Kind kind, const std::string& name) {
+        auto its = issued(others, kind, name);
+        its["IceSSL.CAs"] = ca;
+        return its;
+    };
+    const Properties none{{"Ice.Plugin.IceSSL", "IceSSL:createIceSSL"}, {"IceSSL.CAs", ca}};
+    for (const auto& port : ports()) {
+        SCOPED_TRACE("the port for " + port.name + " of " + port.server);
+        const auto right = port.name.find("servers") != std::string::npos ? Kind::EntityServer
+                           : port.server == "fe1"                         ? Kind::Client
+                                                                          : Kind::Entity;
+        const struct {
+            const char* what;
+            Properties shown;
+            std::string why;
+        } cases[] = {{"expired", expired(right, "old"), "expired"},
+                     {"foreign", foreign(right, "stranger"), "the certificate is of another CA"},
+                     {"none", none, "no certificate was shown"}};
+        for (const auto& one : cases) {
+            SCOPED_TRACE(one.what);
+            kLog->clear();
+            EXPECT_TRUE(waitUntil(
+                [&] {
+                    EXPECT_FALSE(comesIn(one.shown, "somebody", ssl(port.number)));
+                    return waitUntil([&] { return kLog->has(one.why); }, 200ms);
+                },
+                10s))
+                << kLog->all();
+            EXPECT_TRUE(audited(port.server, one.why)) << trailOf(port.server);
+        }
+    }
+    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+}
+
+TEST_F(AbuseOfPorts, AMessageThatIsTooLongEndsTheConnectionOfItsSenderOnly) {
+    startStorm();
+    startServers();
+    const auto robot = newRobot();
+    const auto client = newClient();
+    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    for (const auto& port : ports()) {
+        SCOPED_TRACE("the port for " + port.name + " of " + port.server);
+        const auto right = port.name.find("servers") != std::string::npos
+                               ? port.server == "fe1" ? Kind::EntityServer : Kind::FrontEnd
+                           : port.server == "fe1" ? Kind::Client
+                                                  : Kind::Entity;
+        auto shown = issued(right, "sender");
+        shown["Ice.MessageSizeMax"] = "0";  // it sends what it likes
+        const auto its = communicator(shown);
+        const auto proxy = its->stringToProxy("somebody:" + ssl(port.number))->ice_invocationTimeout(20000);
+        Ice::ByteSeq out;
+        EXPECT_THROW(
+            proxy->ice_invoke("ice_ping", Ice::OperationMode::Normal, Ice::ByteSeq(5 * 1024 * 1024), out),
+            Ice::ConnectionLostException);
+    }
+    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+}
+
+/// Two front-end servers, each asked by routers for sessions of clients, which know each other by
+/// Server.Peer.
+class LinksOfPeers : public Links {
+  protected:
+    ~LinksOfPeers() override { fe2.reset(); }
+    server::ServerSettings forRouters(const std::string& name) const {
+        auto its = settings(ServerRole::FrontEnd, name);
+        its.client_router_endpoint = "ssl://" + loopbackAddress() + ":0";
+        if (name != "fe1") its.topic_endpoint = its.topic_signal_endpoint = ssl(0);
+        return its;
+    }
+    static std::string manager(const std::string& address) {
+        return "SessionManager:" + transport::tcpEndpoint(address);
+    }
+    /// What a router is told that asks fe2 for a session with this token.
+    std::string refusalOf(const std::string& token) const {
+        const auto router = communicator(issued(Kind::Router, loopbackAddress()));
+        const auto nobody =
+            Ice::uncheckedCast<Glacier2::SessionControlPrx>(router->stringToProxy("nobody:" + ssl(9)));
+        auto context = transport::contractContext();
+        context[transport::kContextToken] = token;
+        try {
+            Ice::uncheckedCast<Glacier2::SessionManagerPrx>(
+                router->stringToProxy(manager(fe2->clientRouterAddress())))
+                ->create("client1", nobody, context);
+        } catch (const Glacier2::CannotCreateSessionException& refused) {
+            return refused.reason;
+        } catch (const Ice::Exception& error) {
+            return error.ice_id();
+        }
+        return "created";
+    }
+#ifdef GLACIER2ROUTER
+    /// A glacier2router in front of this server; the proxy of it.
+    std::string startRouter(const server::Server& server, int port) {
+        const auto at = ssl(port);
+        const auto its = transport::tcpEndpoint(server.clientRouterAddress());
+        const auto config = folder / ("router-" + std::to_string(port) + ".cfg");
+        std::ofstream out(config);
+        out << "Glacier2.InstanceName=Axon.Clients\nGlacier2.Client.Endpoints=" << at
+            << "\nGlacier2.Server.Endpoints=" << ssl(port + 1)
+            << "\nGlacier2.SessionManager=SessionManager:" << its
+            << "\nGlacier2.PermissionsVerifier=PermissionsVerifier:" << its
+            << "\nGlacier2.Filter.Identity.Accept=Axon.Clients/none\nGlacier2.Client.Buffered=0\n"
+               "Glacier2.Server.Buffered=0\nGlacier2.Client.ForwardContext=1\n"
+               "Glacier2.Server.ForwardContext=1\nIce.ThreadPool.Server.Size=4\n"
+               "Ice.ThreadPool.Server.Serialize=1\nIce.ThreadPool.Client.Size=4\n"
+               "Ice.ThreadPool.Client.Serialize=1\nIce.ACM.Client.Close=0\nIce.MessageSizeMax=4096\n";
+        for (const auto& [key, value] : issued(Kind::Router, loopbackAddress()))
+            out << key << '=' << value << '\n';
+        out.close();
+        routers.push_back(std::make_unique<LoggedProgram>(
+            std::vector<std::string>{GLACIER2ROUTER, "--Ice.Config=" + config.string()},
+            folder / ("router-" + std::to_string(port) + ".log")));
+        EXPECT_TRUE(waitUntil([port] { return listens(port); }, 10s)) << routers.back()->text();
+        return "Axon.Clients/router:" + at;
+    }
+    std::vector<std::unique_ptr<LoggedProgram>> routers;
+#endif
+    std::unique_ptr<server::Server> fe2;
+};
+
+/// Takes any request for a session, and counts them.
+class AnySessionManager final : public Glacier2::SessionManager {
+  public:
+    std::shared_ptr<Glacier2::SessionPrx> create(std::string, std::shared_ptr<Glacier2::SessionControlPrx>,
+                                                 const Ice::Current&) override {
+        ++asked;
+        throw Glacier2::CannotCreateSessionException("it was asked");
+    }
+    std::atomic<int> asked{0};
+};
+
+TEST_F(LinksOfPeers, OnlyTheServerOfThatKindAndNameIsAskedForASession) {
+    const auto impostor = [&](Kind kind, const std::string& name) {
+        return communicator(issued(kind, name));
+    };
+    struct Case {
+        Kind kind;
+        std::string name, why;
+    };
+    const std::vector<Case> cases{
+        {Kind::Server, loopbackAddress(), "is that of the server '" + loopbackAddress()},
+        {Kind::EntityServer, "fe1", "is that of the entity-server 'fe1'"},
+        {Kind::FrontEnd, "fe9", "is that of the front-end 'fe9'; expected that of the front-end 'fe1'"},
+        {Kind::Router, loopbackAddress(), "is that of the router"},
+        {Kind::FrontEnd, "fe1", ""}};
+    for (const auto& one : cases) {
+        SCOPED_TRACE(toString(one.kind) + (" " + one.name));
+        const auto its = impostor(one.kind, one.name);
+        const auto adapter = its->createObjectAdapterWithEndpoints("Impostor", ssl(0));
+        const auto asked = std::make_shared<AnySessionManager>();
+        adapter->add(asked, Ice::stringToIdentity("SessionManager"));
+        adapter->activate();
+        auto of_second = forRouters("fe2");
+        of_second.neighbours["fe1"] = manager(transport::addressOf(*adapter));
+        fe2 = std::make_unique<server::Server>(of_second);
+        const auto told = refusalOf("fe1/token");
+        if (one.why.empty()) {
+            EXPECT_EQ(told, "it was asked");
+            EXPECT_EQ(asked->asked, 1);
+            EXPECT_EQ(refused(*fe2), 0);
+        } else {
+            EXPECT_THAT(told,
+                        HasSubstr("the server at Server.Peer.fe1 is not used: the certificate that it"));
+            EXPECT_THAT(told, HasSubstr(one.why));
+            EXPECT_THAT(told, HasSubstr("whose Server.Name is fe1"));
+            EXPECT_EQ(asked->asked, 0);
+            EXPECT_EQ(refused(*fe2), 1);
+            EXPECT_TRUE(audited("fe2", one.why)) << trailOf("fe2");
+        }
+        fe2.reset();
+    }
+}
+
+TEST_F(LinksOfPeers, TwoNamesAtOneAddressAreRefused) {
+    auto its = forRouters("fe2");
+    its.neighbours["fe1"] = "SessionManager:" + ssl(10434);
+    its.neighbours["fe3"] = "SessionManager:" + ssl(10435) + ":" + ssl(10434);
+    const auto complaint = [&]() -> std::string {
+        try {
+            const server::Server server(its);
+        } catch (const std::runtime_error& error) {
+            return error.what();
+        }
+        return "accepted";
+    };
+    EXPECT_THAT(complaint(), HasSubstr("Server.Peer.fe1 and Server.Peer.fe3 have one address"));
+    EXPECT_THAT(complaint(),
+                HasSubstr("fix: give each the address of its own FrontEndServerRouter.Endpoints"));
+    its.neighbours["fe3"] = "SessionManager:" + ssl(10435);
+    EXPECT_EQ(complaint(), "accepted");
+}
+
+TEST_F(LinksOfPeers, TheNameIsCheckedAlsoWhereTwoLeadToOneServerByOtherNamesOfItsMachine) {
+    in_addr address{};
+    inet_pton(AF_INET, loopbackAddress().c_str(), &address);
+    std::ostringstream other_name;
+    other_name << "0x" << std::hex << ntohl(address.s_addr);
+    fe1 = std::make_unique<server::Server>(forRouters("fe1"));
+    auto of_second = forRouters("fe2");
+    of_second.ice_properties["IceSSL.CheckCertName"] = "0";  // the certificate has not that name
+    const auto right = manager(fe1->clientRouterAddress());
+    auto alias = right;
+    alias.replace(alias.find(loopbackAddress()), loopbackAddress().size(), other_name.str());
+    of_second.neighbours = {{"fe1", right}, {"fe3", alias}};
+    fe2 = std::make_unique<server::Server>(of_second);
+    // The router cannot be called back, which fe1 finds out: it was asked.
+    const auto of_first = [&] { return refusalOf("fe1/token"); };
+    EXPECT_THAT(of_first(), testing::Not(HasSubstr("Server.Peer"))) << kLog->all();
+    EXPECT_THAT(refusalOf("fe3/token"),
+                HasSubstr("the front-end 'fe1'; expected that of the front-end 'fe3'"));
+    EXPECT_THAT(of_first(), testing::Not(HasSubstr("Server.Peer"))) << "the other's connection is its own";
+}
+
+#ifdef GLACIER2ROUTER
+TEST_F(LinksOfPeers, TheSecondSessionBehindARouterGoesToTheServerThatHasTheFirst) {
+    fe1 = std::make_unique<server::Server>(forRouters("fe1"));
+    auto of_second = forRouters("fe2");
+    of_second.neighbours["fe1"] = manager(fe1->clientRouterAddress());
+    fe2 = std::make_unique<server::Server>(of_second);
+    const auto to_first = startRouter(*fe1, 10440);
+    const auto to_second = startRouter(*fe2, 10442);
+    RawClient client(RawClient::Routers{to_first, to_second}, issued(Kind::Client, "client1"));
+    EXPECT_EQ(client.facts.token.rfind("fe1/", 0), 0U) << client.facts.token;
+    // Where servers send what is for its clients, by the file of its certificate.
+    EXPECT_FALSE(comesIn(issued(Kind::Client, "client1"), "nobody", ssl(10441))) << routers.front()->text();
+    client.stop("");
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); })) << kLog->all();
+    EXPECT_EQ(refused(*fe1), 0) << kLog->all();
+    EXPECT_EQ(refused(*fe2), 0) << kLog->all();
+}
+#endif
 
 TEST_F(Links, ListenOnEveryAddressWithoutUsersWhereClientsDoNot) {
     auto its = settings(ServerRole::Entity, "es1");

@@ -297,7 +297,8 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
     struct Routers {
         std::string first, second;
     };
-    explicit RawClient(const Routers& routers) {
+    explicit RawClient(const Routers& routers, const std::map<std::string, std::string>& properties = {})
+        : RawPeer(properties) {
         const auto callback =
             openThrough(Lane::Data, routers.first, {}, std::make_shared<Callback>(*this, "data"));
         facts = data()->setCallback(callback);

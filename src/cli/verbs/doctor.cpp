@@ -374,6 +374,8 @@ int doctor(Session& session) {
         checkAgent(report, session.settings);
         return report.anyBad() ? kRefused : kDone;
     }
+    if (session.args.contains("links"))
+        return misused(session, "--links FILE is looked at with --security only");
     checkServer(report, session);
     checkAgent(report, session.settings);
     checkRealTime(report);
@@ -390,12 +392,16 @@ extern const Verb kDoctor{
     "  axon doctor\n"
     "  axon doctor --server lab.example.org:10410\n"
     "  axon doctor --security\n"
+    "  axon doctor --security --links server.cfg             also the links between several servers\n"
     "Each line is fine (✓), a warning (!) or an error (✗). The exit status is 1 if there is an error.\n",
     Runs::Local,
     {},
     {{"security", Takes::Nothing,
       "Check instead who can log in without permission, and what others can read on the network or on this "
-      "machine"}},
+      "machine"},
+     {"links", Takes::File,
+      "With --security: the configuration of a server, of IceStorm or of glacier2router whose links to other "
+      "servers are checked, too (default /etc/axon/server.cfg, if it is there)"}},
     doctor};
 
 }  // namespace axon::cli

@@ -46,5 +46,8 @@ void reportClock(Report& report, std::time_t now, int kind, int status);
 /// `axon doctor --security`: what of the set-up lets somebody in who should not be
 /// (docs/explanation/threats.md).
 void checkSecurity(Report& report, Session& session);
+/// The same of the links between servers that this configuration of axon-server, IceStorm or glacier2router
+/// sets (docs/reference/tls.md, "Links between servers"), one finding for each link.
+void checkLinks(Report& report, const std::string& file);
 
 }  // namespace axon::cli

@@ -4,9 +4,16 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
+#include <map>
+#include <optional>
 #include <sstream>
+#include <string_view>
+#include <utility>
+#include <vector>
 
+#include "certificates/folder.hpp"
 #include "cli/verbs/doctor_report.hpp"
 #include "cli/words.hpp"
 #include "host/port_range.hpp"
@@ -28,27 +35,45 @@ bool isHere(const std::string& host) {
     return host == "localhost" || isLoopback(host);
 }
 
-/// Of "HOST:PORT", "ssl://HOST:PORT", and of a router's proxy: "Axon.Clients/router:ssl -h HOST -p PORT:tcp
-/// -h …".
+/// Of "HOST:PORT", "ssl://HOST:PORT", several of these with ',' between them, and of Ice's endpoints and
+/// proxies: "Axon.Clients/router:ssl -h HOST -p PORT:tcp -h …". An endpoint of Ice without a host is at every
+/// address of its machine.
 Exposure exposureOf(const std::string& server) {
     Exposure exposure;
+    std::istringstream words(server);
     if (server.find(" -") == std::string::npos) {
-        const auto scheme = server.find("://");
-        const auto from = scheme == std::string::npos ? 0 : scheme + 3;
-        exposure.tls = server.starts_with("ssl://") || server.starts_with("wss://");
-        exposure.some_tls = exposure.tls;
-        exposure.here = isHere(server.substr(from, server.rfind(':') - from));
+        for (std::string one; std::getline(words, one, ',');) {
+            const auto scheme = one.find("://");
+            const auto from = scheme == std::string::npos ? 0 : scheme + 3;
+            const bool tls = one.starts_with("ssl://") || one.starts_with("wss://");
+            exposure.tls = exposure.tls && tls;
+            exposure.some_tls = exposure.some_tls || tls;
+            exposure.here = exposure.here && isHere(one.substr(from, one.rfind(':') - from));
+        }
         return exposure;
     }
-    std::istringstream words(server);
+    std::size_t endpoints = 0, hosts = 0;
     for (std::string word; words >> word;) {
         const auto kind =
             word.substr(word.find_last_of(':') == std::string::npos ? 0 : word.find_last_of(':') + 1);
-        if (kind == "tcp" || kind == "ws") exposure.tls = false;
-        if (kind == "ssl" || kind == "wss") exposure.some_tls = true;
+        const bool tls = kind == "ssl" || kind == "wss";
+        const bool plain = kind == "tcp" || kind == "ws" || kind == "default";
+        if (plain) exposure.tls = false;
+        if (tls) exposure.some_tls = true;
+        if (tls || plain) ++endpoints;
         if (word != "-h" || !(words >> word)) continue;
-        exposure.here = exposure.here && isHere(word.substr(0, word.find(':')));
+        ++hosts;
+        // "127.0.0.1:tcp", where the next endpoint begins.
+        const auto colon = word.find(':');
+        exposure.here = exposure.here && isHere(word.substr(0, colon));
+        if (colon == std::string::npos) continue;
+        const auto next = word.substr(colon + 1);
+        if (next == "tcp" || next == "ws" || next == "default") exposure.tls = false;
+        if (next == "ssl" || next == "wss") exposure.some_tls = true;
+        ++endpoints;
     }
+    if (hosts < endpoints) exposure.here = false;
+    if (endpoints == 0) exposure.tls = exposure.here = false;  // nothing that could be understood
     return exposure;
 }
 
@@ -157,13 +182,190 @@ void checkStateFolders(Report& report) {
                                " private; folders elsewhere (Axon.State) are not checked");
 }
 
+using Properties = std::map<std::string, std::string>;
+constexpr const char* kServersFile = "/etc/axon/server.cfg";
+
+/// As Ice reads a file of properties: "key = value # comment", where a backslash makes '#' and '=' letters.
+Properties propertiesIn(const std::string& text) {
+    Properties properties;
+    std::istringstream lines(text);
+    for (std::string line; std::getline(lines, line);) {
+        std::string key, part;
+        bool has_value = false;
+        for (std::size_t i = 0; i < line.size() && line[i] != '#'; ++i) {
+            if (line[i] == '\\' && i + 1 < line.size() && std::strchr("\\#=", line[i + 1]) != nullptr) {
+                part += line[++i];
+            } else if (line[i] == '=' && !has_value) {
+                has_value = true;
+                key = std::exchange(part, {});
+            } else {
+                part += line[i];
+            }
+        }
+        const auto trimmed = [](const std::string& its) {
+            const auto from = its.find_first_not_of(" \t\r");
+            return from == std::string::npos ? std::string()
+                                             : its.substr(from, its.find_last_not_of(" \t\r") - from + 1);
+        };
+        if (has_value && !trimmed(key).empty()) properties[trimmed(key)] = trimmed(part);
+    }
+    return properties;
+}
+
+/// A link between servers: who may be at the other end, if `bound_by` limits who that is.
+struct Link {
+    const char* key;  ///< what it begins with, where it ends in '.', or all of it
+    const char* peers;
+    const char* issue;
+    const char* bound_by;  ///< a setting of IceSSL; null: the program itself looks at the kinds
+};
+constexpr const char* kIssueServer = "axon certs issue --front-end NAME HOST, or --entity-server NAME HOST";
+constexpr const char* kIssueStorm = "axon certs issue --storm HOST";
+constexpr const char* kIssueRouter = "axon certs issue --router HOST";
+constexpr Link kLinks[] = {
+    {"FrontEndServerTopic.Endpoints", "entity servers and IceStorm may connect", kIssueServer, nullptr},
+    {"FrontEndServerTopicSignal.Endpoints", "entity servers may connect", kIssueServer, nullptr},
+    {"FrontEndServerRouter.Endpoints", "routers and front-end servers may connect", kIssueServer, nullptr},
+    {"EntityServerTopic.Endpoints", "the other servers and IceStorm may connect", kIssueServer, nullptr},
+    {"EntityServerTopicSignal.Endpoints", "the other servers may connect", kIssueServer, nullptr},
+    {"EntityServerRouter.Endpoints", "routers and entity servers may connect", kIssueServer, nullptr},
+    {"Server.TopicManager", "IceStorm is spoken to", kIssueServer, nullptr},
+    {"Server.Peer.", "the server of that name is spoken to", kIssueServer, nullptr},
+    {"IceStorm.TopicManager.Endpoints", "the kinds of IceSSL.TrustOnly.Server may connect", kIssueStorm,
+     "IceSSL.TrustOnly.Server"},
+    {"IceStorm.Publish.Endpoints", "the kinds of IceSSL.TrustOnly.Server may connect", kIssueStorm,
+     "IceSSL.TrustOnly.Server"},
+    {"Glacier2.Server.Endpoints", "the kinds of IceSSL.TrustOnly.Server.Glacier2.Server may connect",
+     kIssueRouter, "IceSSL.TrustOnly.Server.Glacier2.Server"},
+    {"Glacier2.SessionManager", "the kinds of IceSSL.TrustOnly.Client are spoken to", kIssueRouter,
+     "IceSSL.TrustOnly.Client"},
+    {"Glacier2.PermissionsVerifier", "the kinds of IceSSL.TrustOnly.Client are spoken to", kIssueRouter,
+     "IceSSL.TrustOnly.Client"},
+    {"Glacier2.SSLSessionManager", "the kinds of IceSSL.TrustOnly.Client are spoken to", kIssueRouter,
+     "IceSSL.TrustOnly.Client"},
+    {"Glacier2.SSLPermissionsVerifier", "the kinds of IceSSL.TrustOnly.Client are spoken to", kIssueRouter,
+     "IceSSL.TrustOnly.Client"},
+};
+
+const Link* linkOf(const std::string& key) {
+    for (const auto& link : kLinks) {
+        const std::string_view its = link.key;
+        if (its.ends_with('.') ? key.starts_with(its) : key == its) return &link;
+    }
+    return nullptr;
+}
+
+std::string valueOf(const Properties& properties, const char* key) {
+    const auto found = properties.find(key);
+    return found == properties.end() ? std::string() : found->second;
+}
+
+/// What is wrong with the certificate that the file names.
+std::optional<std::string> certificateFor(const Properties& properties) {
+    const auto file = valueOf(properties, "IceSSL.CertFile");
+    if (file.empty()) return "no certificate is configured (IceSSL.CertFile)";
+    std::vector<certificates::Certificate> its;
+    try {
+        its = certificates::readCertificateFile(fs::path(valueOf(properties, "IceSSL.DefaultDir")) / file);
+    } catch (const certificates::Unusable& unusable) {
+        return unusable.what();
+    }
+    using certificates::Kind;
+    std::vector<Kind> kinds;
+    const bool server = std::any_of(properties.begin(), properties.end(), [](const auto& one) {
+        return one.first.starts_with("Server.") || one.first.starts_with("FrontEndServer") ||
+               one.first.starts_with("EntityServer");
+    });
+    const bool storm = std::any_of(properties.begin(), properties.end(),
+                                   [](const auto& one) { return one.first.starts_with("IceStorm."); });
+    if (server)
+        kinds = {Kind::FrontEnd, Kind::EntityServer};
+    else
+        kinds = {storm ? Kind::Storm : Kind::Router};
+    const auto kind = certificates::kindOf(its.front().unit);
+    std::string expected;
+    for (const auto one : kinds)
+        expected += (expected.empty() ? "" : " or ") + std::string(certificates::toString(one));
+    if (!kind || std::find(kinds.begin(), kinds.end(), *kind) == kinds.end())
+        return "the certificate is of the kind '" + its.front().unit + "'; expected " + expected;
+    const auto name = valueOf(properties, "Server.Name");
+    if (server && its.front().name != name)
+        return "the certificate is that of '" + its.front().name + "'; expected that of Server.Name, '" +
+               name + "'";
+    return std::nullopt;
+}
+
+/// Why somebody else than those of the link may be at its other end.
+std::optional<std::string> unbound(const Properties& properties, const Link& link,
+                                   const std::optional<std::string>& certificate) {
+    if (certificate) return certificate;
+    const auto verifies = valueOf(properties, "IceSSL.VerifyPeer");
+    if (link.bound_by == nullptr)  // 2 unless it says otherwise
+        return verifies.empty() || verifies == "1" || verifies == "2"
+                   ? std::nullopt
+                   : std::optional("IceSSL.VerifyPeer=" + verifies + " lets in whoever shows no certificate");
+    // By default Ice asks for a certificate on both sides, and the caller's may be missing no less.
+    if (verifies == "0" || verifies == "1")
+        return "IceSSL.VerifyPeer=" + verifies + " lets in whoever shows no certificate";
+    const auto trusted = valueOf(properties, link.bound_by);
+    if (trusted.find("OU=") == std::string::npos)
+        return std::string("whoever has a certificate of the laboratory, such as a client, is let in: ") +
+               link.bound_by + " names no kind (OU)";
+    for (const auto* kind : {"OU=client", "OU=entity,", "OU=entity;"})
+        if ((trusted + ";").find(kind) != std::string::npos)
+            return std::string(link.bound_by) + "=" + trusted + " lets in more than servers";
+    return std::nullopt;
+}
+
 }  // namespace
+
+void checkLinks(Report& report, const std::string& file) {
+    Properties properties;
+    try {
+        properties =
+            propertiesIn(certificates::readFile(file, "name a file that you may read: --links FILE"));
+    } catch (const certificates::Unusable& unusable) {
+        return report.bad("links", unusable.what(), unusable.fix());
+    }
+    const auto certificate = certificateFor(properties);
+    bool any = false;
+    for (const auto& [key, value] : properties) {
+        const auto* const link = linkOf(key);
+        if (link == nullptr || value.empty()) continue;
+        any = true;
+        const auto its = key + "=" + value;
+        const auto exposure = exposureOf(value);
+        if (!exposure.tls && exposure.here) {
+            report.ok("links", its + ": loopback only; processes on this machine are believed");
+        } else if (!exposure.tls) {
+            report.bad(
+                "links",
+                its +
+                    ": open: whoever reaches this address without TLS is believed, and could move every "
+                    "robot",
+                std::string("name an address of this machine alone (-h 127.0.0.1), or ssl -h HOST -p PORT "
+                            "with the lines of ") +
+                    link->issue + " (docs/reference/tls.md)");
+        } else if (const auto wrong = unbound(properties, *link, certificate)) {
+            report.bad("links", its + ": TLS, but " + *wrong,
+                       std::string("take over the lines of ") + link->issue + " (docs/reference/tls.md)");
+        } else {
+            report.ok("links", its + ": TLS; only " + link->peers);
+        }
+    }
+    if (!any)
+        report.ok("links", file + " sets no link between servers; those that are not set are on loopback");
+}
 
 void checkSecurity(Report& report, Session& session) {
     const auto exposure = exposureOf(session.settings.server);
     checkExposure(report, session.settings.server, exposure);
     checkLogIn(report, session, exposure);
     checkStateFolders(report);
+    // On the machine of a server that came as a package; whoever may not read the file does not run it.
+    const auto named = session.args.value("links", std::string());
+    if (!named.empty() || ::access(kServersFile, R_OK) == 0)
+        checkLinks(report, named.empty() ? kServersFile : named);
 }
 
 }  // namespace axon::cli

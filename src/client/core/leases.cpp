@@ -18,11 +18,6 @@
 namespace axon::client {
 namespace {
 
-/// An entity that has left is back within this, or its lease is lost: its Entity Manager has ended. A router
-/// or server that is started anew has its entities back within 1.6 s, as was measured with
-/// faults/cluster_faults.py; given up before, they would be nobody's until the grace ends.
-constexpr Duration kLeftPatience = std::chrono::milliseconds{2500};
-
 bool leaseIsGone(RefusalCode code) {
     return code == RefusalCode::NotHolder || code == RefusalCode::OlderLease ||
            code == RefusalCode::RevokedLease || code == RefusalCode::WrongEpoch;
@@ -353,9 +348,10 @@ void Leases::orphan(const std::string& entity, bool left, const std::string& rea
     const bool is_new = !mine.orphaned;
     mine.orphaned = true;
     mine.left = left;
-    mine.expires = now + (left ? std::min(mine.grace, kLeftPatience)
-                               : mine.grace + std::max(parts_.context.settings.loss_notice,
-                                                       parts_.server.watchdogs().idle));
+    // An entity that has left its server may come back by another one: its own time has begun before.
+    mine.expires = now + mine.grace;
+    if (!left)
+        mine.expires += std::max(parts_.context.settings.loss_notice, parts_.server.watchdogs().idle);
     mine.question.reset();
     mine.asked_by.clear();
     if (is_new) {

@@ -30,7 +30,13 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
     if (in_order) threads = properties->getPropertyAsIntWithDefault("Ice.ThreadPool.Server.Size", 1);
     properties->setProperty(name + ".ThreadPool.Size", std::to_string(threads));
     properties->setProperty(name + ".ThreadPool.Serialize", in_order && threads > 1 ? "1" : "0");
-    if (idle == Idle::Watched) properties->setProperty(name + ".ACM.Timeout", "0");
+    if (idle != Idle::ClosedAfterAMinute) {
+        properties->setProperty(name + ".ACM.Timeout", "1");
+        properties->setProperty(name + ".ACM.Close", idle == Idle::Watched ? "0" : "1");
+        // A router gives up a server from which it hears nothing for a second while a call is under way, so
+        // calls that take longer need a sign of life.
+        properties->setProperty(name + ".ACM.Heartbeat", "1");
+    }
     try {
         return communicator.createObjectAdapterWithEndpoints(name, endpoint);
     } catch (const Ice::SocketException& error) {
@@ -72,6 +78,10 @@ std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter) {
 
 std::vector<Endpoint> listenedEndpoints(const Ice::ObjectAdapter& adapter) {
     return withoutWildcards(endpointsOf(adapter.getEndpoints()));
+}
+
+std::vector<Endpoint> endpointsOf(const Ice::ObjectPrx& proxy) {
+    return endpointsOf(proxy.ice_getEndpoints());
 }
 
 std::string addressOf(const Ice::ObjectAdapter& adapter) {

@@ -21,9 +21,9 @@ namespace axon::transport {
 
 /// Closes connections to endpoints of this process that exceed ConnectionBounds, on a thread of its own that
 /// looks at the process's descriptors: ten times a second while anybody is there who has no session, else
-/// once. Ice then ends the connection as one that was lost. The adapters that are watched have no ACM
-/// (listen()): for it Ice remembers each connection that has ended for up to a minute, and a flood of them
-/// would cost as much memory as if they were open.
+/// once. Ice then ends the connection as one that was lost. The adapters that are watched have an ACM that
+/// looks twice a second (listen()): Ice remembers each connection that has ended until then, and for a minute
+/// a flood of them would cost as much memory as if they were open.
 ///
 /// Where in the flow: beside the adapters; messages never come here. Threads: any. Failure: where the
 /// descriptors cannot be read nothing is closed, and the log says so once. It has three descriptors of its

@@ -16,6 +16,9 @@ namespace {
 
 using certificates::Kind;
 
+/// Longer than a machine under load lets ConnectionLimits wait.
+constexpr std::chrono::seconds kForgetCome{60};
+
 /// For people: a name that somebody else has chosen.
 std::string shown(const std::string& text) {
     std::string its(cutUtf8(validUtf8(text), 64));
@@ -100,12 +103,26 @@ bool LinkTrust::mayCome(const std::string& adapter, const std::string& peer,
         kinds = found->second;
     }
     const auto kind = certificate ? certificates::kindOf(certificate->unit) : std::nullopt;
-    if (kind && std::find(kinds.begin(), kinds.end(), *kind) != kinds.end()) return true;
+    if (kind && std::find(kinds.begin(), kinds.end(), *kind) != kinds.end()) {
+        const auto now = clock_.now();
+        const std::lock_guard lock(mutex_);
+        std::erase_if(come_, [now](const auto& one) { return now - one.second > kForgetCome; });
+        come_[peer] = now;
+        return true;
+    }
     refuse(peer, certificate ? certificate->name : std::string(),
            "a connection to " + adapter + " was refused: the certificate " +
                (certificate ? "is that of " + told(*certificate) : std::string("was not shown")) +
                "; expected one of the kind " + listed(kinds));
     return false;
+}
+
+bool LinkTrust::hasCome(const std::string& peer) {
+    const std::lock_guard lock(mutex_);
+    const auto found = come_.find(peer);
+    if (found == come_.end()) return false;
+    found->second = clock_.now();
+    return true;
 }
 
 PeerCertificate LinkTrust::callerOf(const std::shared_ptr<Ice::Connection>& connection) {
@@ -138,6 +155,21 @@ bool LinkTrust::speaksAs(const Ice::Current& current, const std::string& name, c
     const auto its = callerOf(current.con);
     if (its.name == name) return true;
     disconnect(current, told(its) + " " + what + " " + shown(name) + "; expected its own name");
+    return false;
+}
+
+bool LinkTrust::mayTellOf(const Ice::Current& current, const std::string& entity, const std::string* at,
+                          const char* what) {
+    if (at == nullptr) return true;
+    const auto its = callerOf(current.con);
+    if (its.name == *at) return true;
+    if (!strays_.admit(clock_.now())) {
+        ++refused_;
+        return false;
+    }
+    refuse(current.con ? DirectConnection::peerOf(*current.con) : std::string(), its.name,
+           told(its) + " " + what + " the entity " + shown(entity) + ", which the server " + shown(*at) +
+               " has; the message is dropped");
     return false;
 }
 

@@ -38,9 +38,10 @@ std::optional<std::string> notServer(const Ice::Connection& connection, certific
 /// whether the caller may call this operation and speak in this name, and whoever opens a connection asks
 /// whether the right server has answered.
 ///
-/// Every refusal is counted; the log has at most ten in a second, the audit trail as many as it takes.
+/// Every refusal is counted; the log has at most ten in a second, the audit trail as many as it takes, but of
+/// messages whose senders stay connected ten in a second.
 /// Threads: any. Lifetime: outlives the communicators that it guards. Bound: it remembers one name for each
-/// connection that is open.
+/// connection that is open, and one address for each that was open in the last minute.
 class LinkTrust {
   public:
     using Note = std::function<void(const std::string& line)>;
@@ -55,6 +56,10 @@ class LinkTrust {
     using Elsewhere = std::function<void(const std::string& peer, const std::string& why)>;
     void guard(const std::shared_ptr<Ice::Communicator>& communicator, Elsewhere elsewhere = {});
 
+    /// Whether the peer at this address ("10.0.0.7:50122") has shown the certificate of a kind that may come.
+    /// For ConnectionLimits, which asks of each connection while it is open, once a second at least.
+    bool hasCome(const std::string& peer);
+
     /// Who is at the other end of a connection to one of these adapters. Remembered until it closes.
     PeerCertificate callerOf(const std::shared_ptr<Ice::Connection>& connection);
     /// Whether the caller is of this kind; one that is not is noted and disconnected.
@@ -62,6 +67,12 @@ class LinkTrust {
     /// Whether the caller speaks in its own name; one that does not is noted and disconnected. `what`: for
     /// people, such as "announced itself as".
     bool speaksAs(const Ice::Current& current, const std::string& name, const char* what);
+    /// Whether the caller is the server that has this entity, as far as this one knows (`at`; null: no server
+    /// has it, and anybody may speak for it). One that is another server is noted, and its message is to be
+    /// dropped; it stays connected, because an entity that moves is known here a little later than there.
+    /// `what`: for people, such as "sends a message of".
+    bool mayTellOf(const Ice::Current& current, const std::string& entity, const std::string* at,
+                   const char* what);
 
     /// A connection that this server has opened leads to somebody else. `why` as of notServer().
     void noteWrongServer(const std::string& called, const std::string& why);
@@ -80,11 +91,14 @@ class LinkTrust {
     audit::AuditTrail& trail_;
     const Clock& clock_;
     RateLimit lines_{10};
+    RateLimit strays_{10};  // messages of others' entities that are noted in a second
     std::atomic<std::uint64_t> refused_{0};
     std::mutex mutex_;
     /// Who may come, by the adapter's name. Guarded by mutex_.
     std::map<std::string, std::vector<certificates::Kind>> doors_;
-    std::set<std::uint16_t> ports_;                              // of those adapters; guarded by mutex_
+    std::set<std::uint16_t> ports_;  // of those adapters; guarded by mutex_
+    /// When it was asked for, or came, last: IceSSL tells of no end. Guarded by mutex_.
+    std::map<std::string, TimePoint> come_;
     std::map<const Ice::Connection*, PeerCertificate> callers_;  // of open connections; guarded by mutex_
 };
 

@@ -10,7 +10,7 @@
 namespace axon::transport {
 namespace {
 
-constexpr int kHeartbeatSeconds = 60;
+constexpr int kHeartbeatsWithin = 1;  // seconds; Ice sends two in that time
 
 bool isLoopback(const std::string& peer) {
     return peer.rfind("127.", 0) == 0;
@@ -53,9 +53,8 @@ Result<void> RouterConnections::admit(const std::shared_ptr<Ice::Connection>& co
         peers_.add(peer);
     }
     connection->setCloseCallback([this](const std::shared_ptr<Ice::Connection>& it) { closed(it.get()); });
-    // A router closes what is idle for a minute, unless it is configured not to; its sessions would be lost
-    // with it.
-    connection->setACM(kHeartbeatSeconds, Ice::ACMClose::CloseOff, Ice::ACMHeartbeat::HeartbeatAlways);
+    // A router may close what is silent, and its sessions would be lost with it.
+    connection->setACM(kHeartbeatsWithin, Ice::ACMClose::CloseOff, Ice::ACMHeartbeat::HeartbeatAlways);
     return {};
 }
 

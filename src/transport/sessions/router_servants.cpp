@@ -13,7 +13,6 @@
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
-#include "transport/ice/link_trust.hpp"
 #include "transport/ice/tls.hpp"
 
 namespace axon::transport {
@@ -63,16 +62,19 @@ bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason
 /// is this server. Throws what Ice throws, and CannotCreateSessionException where it is somebody else.
 std::shared_ptr<Glacier2::SessionManagerPrx> verified(
     const std::shared_ptr<Glacier2::SessionManagerPrx>& neighbour, const std::string& name,
-    certificates::Kind kind) {
+    const RouterDoor& door) {
     // One that is cached would be returned also when it is closed.
     const auto over = neighbour->ice_connectionCached(false)->ice_getConnection();
     if (!over || !isTls(*over)) return neighbour;
-    const auto why = notServer(*over, kind, name);
+    const auto why = notServer(*over, door.routers.ownKind(), name);
     // That of a server without a kind of its own has the name of its machine.
-    if (why && notServer(*over, certificates::Kind::Server, {})) {
+    const bool of_machine = door.links == nullptr && !notServer(*over, certificates::Kind::Server, {});
+    if (why && !of_machine) {
         over->close(Ice::ConnectionClose::Forcefully);
-        cannotCreate("the server at Server.Peer." + name + " is not used: the certificate that it shows " +
-                     *why);
+        const auto called = "the server at Server.Peer." + name;
+        if (door.links != nullptr) door.links->noteWrongServer(called, *why);
+        cannotCreate(called + " is not used: the certificate that it shows " + *why +
+                     "; fix: compare the address with that of the server whose Server.Name is " + name);
     }
     return Ice::uncheckedCast<Glacier2::SessionManagerPrx>(over->createProxy(neighbour->ice_getIdentity()));
 }
@@ -107,7 +109,7 @@ std::shared_ptr<Glacier2::SessionPrx> createSession(
                              ", whose token came with the request; give it Server.Peer." +
                              server.substr(0, 64));
             try {
-                return pass_on(verified(neighbour->second, server, door.routers.ownKind()));
+                return pass_on(verified(neighbour->second, server, door));
             } catch (const Glacier2::CannotCreateSessionException&) {
                 throw;
             } catch (const Ice::Exception&) {
@@ -175,7 +177,8 @@ std::shared_ptr<Glacier2::SessionPrx> CertificateSessionManagerServant::create(
 
 std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
                                                      const std::string& endpoint, RouterDoor& door) {
-    auto adapter = listen(communicator, name, endpoint, kThreads);
+    // Until a router has a session here (RouterConnections::admit()).
+    auto adapter = listen(communicator, name, endpoint, kThreads, Idle::ClosedAfterASecond);
     adapter->add(std::make_shared<PermissionsVerifierServant>(door),
                  Ice::stringToIdentity(kPermissionsVerifier));
     adapter->add(std::make_shared<SessionManagerServant>(door), Ice::stringToIdentity(kSessionManager));
@@ -189,13 +192,34 @@ std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communic
 std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighboursOf(
     const Ice::Communicator& communicator, const std::map<std::string, std::string>& proxies) {
     std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> out;
+    std::map<std::string, std::string> at;  // the name, by the address
+    const auto unusable = [&](const std::string& name, const std::string& why) {
+        return std::runtime_error("Server.Peer." + name + ": '" + proxies.at(name) + "' (" + why +
+                                  "): expected the proxy of a session manager, such as "
+                                  "SessionManager:tcp -h 127.0.0.1 -p 10434");
+    };
     for (const auto& [name, proxy] : proxies) {
         try {
-            out[name] = Ice::uncheckedCast<Glacier2::SessionManagerPrx>(communicator.stringToProxy(proxy));
+            const auto its = communicator.stringToProxy(proxy);
+            if (!its) throw unusable(name, "it is empty");
+            for (auto& one : endpointsOf(*its)) {
+                if (one.host == "localhost") one.host = "127.0.0.1";
+                const auto where = one.host + ":" + std::to_string(one.port);
+                const auto [known, is_new] = at.emplace(where, name);
+                if (!is_new && known->second != name)
+                    throw std::runtime_error(
+                        "Server.Peer." + known->second + " and Server.Peer." + name + " have one address, " +
+                        where +
+                        ": two servers cannot be there, and sessions of one would be "
+                        "asked of the other; fix: give each the address of its own "
+                        "FrontEndServerRouter.Endpoints or EntityServerRouter.Endpoints");
+            }
+            // Two names may still lead to one server, by two names of its machine: none is to end the
+            // other's connection.
+            out[name] =
+                Ice::uncheckedCast<Glacier2::SessionManagerPrx>(its->ice_connectionId("peer " + name));
         } catch (const Ice::Exception& error) {
-            throw std::runtime_error("Server.Peer." + name + ": '" + proxy + "' (" + error.ice_id() +
-                                     "): expected the proxy of a session manager, such as "
-                                     "SessionManager:tcp -h 127.0.0.1 -p 10434");
+            throw unusable(name, error.ice_id());
         }
     }
     return out;

@@ -10,6 +10,7 @@
 #include <string>
 
 #include "common/routed.hpp"
+#include "transport/ice/link_trust.hpp"
 #include "transport/ice/login.hpp"
 #include "transport/sessions/lane_session.hpp"
 #include "transport/sessions/routed_connection.hpp"
@@ -45,6 +46,9 @@ struct RouterDoor {
     std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighbours;
     /// A session of the data lane was made for a peer of this release.
     std::function<void(const std::string&)> note_release;
+    /// Where the links between servers are under TLS: a neighbour must have shown a certificate of its kind
+    /// and name. Null: one of a machine is enough over TLS.
+    LinkTrust* links = nullptr;
 };
 
 class PermissionsVerifierServant final : public Glacier2::PermissionsVerifier {
@@ -99,7 +103,7 @@ RouterDoor makeDoor(SessionLane<typename Kind::Core, typename Kind::Session>& da
                     SessionLane<typename Kind::Core, typename Kind::Session>& signal,
                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter, RouterConnections& routers) {
     auto* const logins = data.logins;
-    RouterDoor door{routers, {}, {}, {}, data.server, {}, {}};
+    RouterDoor door{routers, {}, {}, {}, data.server, {}, {}, nullptr};
     door.verify = [logins](LoginRequest request, Logins::Answer answer) {
         if (logins == nullptr) return answer(LoggedIn{});
         (logins->*Kind::kVerify)(std::move(request), std::move(answer));
@@ -125,8 +129,8 @@ RouterDoor makeDoor(SessionLane<typename Kind::Core, typename Kind::Session>& da
 std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
                                                      const std::string& endpoint, RouterDoor& door);
 
-/// The proxies of a configuration, by name. Throws std::runtime_error, saying how to fix it, for a text that
-/// is not a proxy.
+/// The proxies of a configuration, by name, each with a connection of its own. Throws std::runtime_error,
+/// saying how to fix it, for a text that is not a proxy, and for two names at one address.
 std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighboursOf(
     const Ice::Communicator& communicator, const std::map<std::string, std::string>& proxies);
 

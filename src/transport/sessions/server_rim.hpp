@@ -51,7 +51,8 @@ class ServerRim {
               core, Lane::Signal, OutboxLimits::ofSignals(), {}, OpenSessions<typename Kind::Session>(clock)},
           data_adapter_(listen(*data, Kind::kServer, settings.data_endpoint, 0, Idle::Watched)),
           signal_adapter_(listen(*signal, kName + "Signal", settings.signal_endpoint, 0, Idle::Watched)),
-          limits_(*settings.limits) {
+          limits_(*settings.limits),
+          links_(settings.links) {
         const auto gate = Ice::stringToIdentity(Kind::kGate);
         data_lane_.logins = data_lane_.door = signal_lane_.door = settings.logins;
         data_lane_.releases = &releases_;
@@ -64,6 +65,7 @@ class ServerRim {
             door_ = std::make_unique<RouterDoor>(
                 makeDoor<Kind>(data_lane_, data_adapter_, signal_lane_, signal_adapter_, *routers_));
             door_->neighbours = neighboursOf(*data, settings.neighbours);
+            door_->links = settings.links;
             router_adapter_ = listenForRouters(*data, kName + "Router", settings.router_endpoint, *door_);
             if (settings.links != nullptr)
                 settings.links->admit(*router_adapter_, {certificates::Kind::Router,
@@ -85,6 +87,14 @@ class ServerRim {
     void activate() {
         watches_ = {watch(limits_, *data_adapter_, data_lane_, routers_.get()),
                     watch(limits_, *signal_adapter_, signal_lane_, routers_.get())};
+        if (others_.data)
+            for (auto& one : watch(limits_, others_, links_)) watches_.push_back(std::move(one));
+        if (router_adapter_)
+            watches_.push_back(limits_.watch(
+                listenedEndpoints(*router_adapter_), {[this](const std::string& peer) {
+                    const bool known = routers_->has(peer) || (links_ != nullptr && links_->hasCome(peer));
+                    return known ? ConnectionLimits::Peer::Exempt : ConnectionLimits::Peer::Stranger;
+                }}));
         signal_adapter_->activate();
         data_adapter_->activate();
         if (router_adapter_) router_adapter_->activate();
@@ -121,6 +131,7 @@ class ServerRim {
     std::shared_ptr<Ice::ObjectAdapter> data_adapter_;
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter_;
     ConnectionLimits& limits_;
+    LinkTrust* const links_;  // null: the links to the other servers are plain
     std::unique_ptr<RouterConnections> routers_;
     std::unique_ptr<RouterDoor> door_;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter_;

@@ -3,8 +3,12 @@
 #include <Ice/DispatchInterceptor.h>
 #include <Ice/Ice.h>
 
+#include <algorithm>
+#include <atomic>
 #include <functional>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -12,14 +16,46 @@
 
 #include "common/neighbours.hpp"
 #include "transport/ice/adapter.hpp"
+#include "transport/ice/connection_limits.hpp"
 #include "transport/ice/link_trust.hpp"
+#include "transport/ice/peer_connection.hpp"
 
 namespace axon::transport {
+
+/// Which connections have brought a call, where no certificate says who is there. Threads: any. Bound: one
+/// entry for each of them that is open.
+class TopicCallers : public std::enable_shared_from_this<TopicCallers> {
+  public:
+    void heard(const std::shared_ptr<Ice::Connection>& connection) {
+        if (!connection || connection.get() == last_.load(std::memory_order_relaxed)) return;
+        {
+            const std::lock_guard lock(mutex_);
+            last_ = connection.get();
+            if (!peers_.try_emplace(connection.get(), DirectConnection::peerOf(*connection)).second) return;
+        }
+        connection->setCloseCallback(
+            [its = shared_from_this()](const std::shared_ptr<Ice::Connection>& closed) {
+                const std::lock_guard lock(its->mutex_);
+                its->peers_.erase(closed.get());
+                its->last_ = nullptr;
+            });
+    }
+    bool has(const std::string& peer) const {
+        const std::lock_guard lock(mutex_);
+        return std::any_of(peers_.begin(), peers_.end(), [&](const auto& one) { return one.second == peer; });
+    }
+
+  private:
+    std::atomic<const Ice::Connection*> last_{nullptr};  // one that is in peers_, or was when it called
+    mutable std::mutex mutex_;
+    std::map<const Ice::Connection*, std::string> peers_;  // guarded by mutex_
+};
 
 /// Where one of several servers is reached by the others: two adapters, one for each lane, and the
 /// stringified proxies of what is behind them.
 struct TopicAdapters {
     std::shared_ptr<Ice::ObjectAdapter> data, signal;  // null where the other server is in this process
+    std::shared_ptr<TopicCallers> callers;             // null under TLS
     std::string subscriber;                            ///< what comes by the topic
     std::string signals, messages;                     ///< what comes straight, for each lane
 
@@ -50,6 +86,21 @@ class JudgedCalls final : public Ice::DispatchInterceptor {
     const KindOf kind_of_;
 };
 
+/// The calls of one way to a servant of this server without TLS: who has called is known to be a server.
+class HeardCalls final : public Ice::DispatchInterceptor {
+  public:
+    HeardCalls(std::shared_ptr<Ice::Object> servant, std::shared_ptr<TopicCallers> callers)
+        : servant_(std::move(servant)), callers_(std::move(callers)) {}
+    bool dispatch(Ice::Request& request) override {
+        callers_->heard(request.getCurrent().con);
+        return servant_->ice_dispatch(request);
+    }
+
+  private:
+    const std::shared_ptr<Ice::Object> servant_;
+    const std::shared_ptr<TopicCallers> callers_;
+};
+
 /// Makes them, not active yet; `Servant(core, lane, via, links)` listens, and `Servant::callerOf(operation)`
 /// says which kind of server may call it straight. `kind` is that of the server, "EntityServer". With
 /// `settings.links` they are under TLS. Throws std::runtime_error where it cannot listen.
@@ -59,8 +110,10 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
     using certificates::Kind;
     TopicAdapters made;
     auto* const links = settings.links;
-    made.data = listen(data, kind + "Topic", settings.topic_endpoint);
-    made.signal = listen(*settings.topic_signals, kind + "TopicSignal", settings.topic_signal_endpoint);
+    made.data = listen(data, kind + "Topic", settings.topic_endpoint, 0, Idle::Watched);
+    made.signal = listen(*settings.topic_signals, kind + "TopicSignal", settings.topic_signal_endpoint, 0,
+                         Idle::Watched);
+    if (links == nullptr) made.callers = std::make_shared<TopicCallers>();
     if (links != nullptr) {
         std::vector<Kind> callers(Servant::kCallers.begin(), Servant::kCallers.end());
         links->admit(*made.signal, callers);
@@ -77,12 +130,28 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
                 std::move(servant), *links, [straight](std::string_view operation) {
                     return straight ? Servant::callerOf(operation) : Kind::Storm;
                 });
+        else
+            servant = std::make_shared<HeardCalls>(std::move(servant), made.callers);
         return adapter.add(servant, identity)->ice_toString();
     };
     made.subscriber = add(*made.data, Lane::Data, Via::Topic);
     made.signals = add(*made.signal, Lane::Signal, Via::Straight);
     made.messages = add(*made.data, Lane::Data, Via::Straight);
     return made;
+}
+
+/// While the returned objects live, strangers cannot keep connections to these adapters. A stranger is who
+/// has not shown the certificate of a server (`links`), or without TLS has not called.
+[[nodiscard]] inline std::vector<std::shared_ptr<void>> watch(ConnectionLimits& limits,
+                                                              const TopicAdapters& adapters,
+                                                              LinkTrust* links) {
+    using Peer = ConnectionLimits::Peer;
+    const auto stateOf = [links, callers = adapters.callers](const std::string& peer) {
+        const bool known = links != nullptr ? links->hasCome(peer) : callers->has(peer);
+        return known ? Peer::HasSession : Peer::Stranger;
+    };
+    return {limits.watch(listenedEndpoints(*adapters.data), {stateOf}),
+            limits.watch(listenedEndpoints(*adapters.signal), {stateOf})};
 }
 
 }  // namespace axon::transport

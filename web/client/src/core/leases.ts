@@ -10,8 +10,6 @@ import { Context, type Done, type Held, LOSS_NOTICE_MS, type Parts } from "./con
 import { availabilityOf } from "./entities.js";
 import { outlivesLease } from "./requests.js";
 
-/** An entity that has left is back within this, or its lease is lost: its Entity Manager has ended. */
-const LEFT_PATIENCE_MS = 2500;
 /** Services of one entity; the Entity Manager admits fewer. */
 const SERVICES_MAX = 4096;
 
@@ -277,8 +275,9 @@ export class Leases {
         const isNew = !mine.orphaned;
         mine.orphaned = true;
         mine.left = left;
-        const patience = left ? Math.min(mine.graceMs, LEFT_PATIENCE_MS) : mine.graceMs + Math.max(LOSS_NOTICE_MS, this.parts.server.watchdogIdleMs);
-        mine.expires = this.parts.context.now() + patience;
+        // An entity that has left its server may come back by another one: its own time has begun before.
+        mine.expires = this.parts.context.now() + mine.graceMs;
+        if (!left) mine.expires += Math.max(LOSS_NOTICE_MS, this.parts.server.watchdogIdleMs);
         mine.question = undefined;
         mine.askedBy = new Uint8Array(0);
         if (isNew) {
