@@ -10,11 +10,11 @@ import sys
 sys.dont_write_bytecode = True
 import hosts  # noqa: E402
 from cluster import Cluster, Failed, configure, default_folder  # noqa: E402
-from configuration import BASE_PORT, LOOPBACK, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
+from configuration import BASE_PORT, LOOPBACK, ROUTERS_MAX, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
 
 EPILOG = f"""\
   axon-cluster up                                    one server of each kind
-  axon-cluster up --front-ends 2 --entity-servers 2
+  axon-cluster up --front-ends 2 --entity-servers 2 --routers 2
   axon-cluster up --grid                             IceGrid starts them, and starts again what ends
   axon-cluster status
   axon-cluster kill fe1                              kill -9, to see what happens
@@ -22,15 +22,15 @@ EPILOG = f"""\
   axon-cluster down
   axon-cluster configure --hosts hosts.txt --to out  several machines: the folder of each
 
-Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}; with --grid icegridregistry,
-icegridnode, and icestorm1 … icestorm3 in place of icestorm.
+Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}; with --routers 2 also entity-router2 and
+client-router2; with --grid icegridregistry, icegridnode, and icestorm1 … icestorm3 in place of icestorm.
 Exit status: 0 done (status: everything runs); 1 a program did not start or is not running; 2 wrong options, a port that is
 in use, or a missing package. docs/how-to/deploy.md explains every file of the folder."""
 
 
 def parse(arguments):
     parser = argparse.ArgumentParser(
-        prog="axon-cluster", description="Runs IceStorm, two Glacier2 routers and Axon's servers on this machine.",
+        prog="axon-cluster", description="Runs IceStorm, Glacier2 routers and Axon's servers on this machine.",
         epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--folder", type=pathlib.Path, default=default_folder(),
@@ -44,8 +44,9 @@ def parse(arguments):
     up = add("up", "Starts the programs that are not running and waits until the cluster can be used. Options that are not given keep their values.")
     up.add_argument("--front-ends", type=int, metavar="N", help=f"front-end servers, 1 to {SERVERS_MAX} (1)")
     up.add_argument("--entity-servers", type=int, metavar="M", help=f"entity servers, 1 to {SERVERS_MAX} (1)")
+    up.add_argument("--routers", type=int, metavar="R", help=f"routers for clients, and as many for entities, 1 to {ROUTERS_MAX} (1)")
     up.add_argument("--base-port", type=int, metavar="P", help=f"first of 200 ports ({BASE_PORT}); 0 = a free range")
-    up.add_argument("--listen", metavar="ADDRESS", help=f"address on which the two routers listen ({LOOPBACK}); everything else listens on loopback")
+    up.add_argument("--listen", metavar="ADDRESS", help=f"address on which the routers listen ({LOOPBACK}); everything else listens on loopback")
     up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="all connections use TLS, with certificates: those of clients and entities, and those between the programs")
     up.add_argument("--grid", action=argparse.BooleanOptionalAction, help="a registry and a node of IceGrid start the programs, with three replicas of IceStorm, and start again what ends (packages zeroc-icegrid, zeroc-ice-utils)")
     add("status", "Shows which programs run, with their ports and logs.").add_argument("--json", action="store_true")
@@ -74,7 +75,7 @@ def in_folder(options):
 
 def up(cluster, options):
     begin = datetime.datetime.now()
-    done = cluster.up({"front_ends": options.front_ends, "entity_servers": options.entity_servers,
+    done = cluster.up({"front_ends": options.front_ends, "entity_servers": options.entity_servers, "routers": options.routers,
                        "base_port": options.base_port, "listen": options.listen, "tls": options.tls, "grid": options.grid})
     for program, state in done:
         ports = ", ".join(f"{what} {host}:{port}" for what, (host, port) in program.ports.items())

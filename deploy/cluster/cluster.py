@@ -15,6 +15,7 @@ import os
 import pathlib
 import pwd
 import random
+import re
 import secrets
 import shutil
 import socket
@@ -334,7 +335,7 @@ class Cluster:
         """Who needs whom: the topics, then the servers, then the routers before them."""
         def wave(program):
             return (0 if program.name == "icegridregistry" else 1 if program.name.startswith("ice") else
-                    3 if program.name.endswith("router") else 2)
+                    3 if "-router" in program.name else 2)
         return [[program for program in programs if wave(program) == number] for number in range(4)]
 
     def deploy(self):
@@ -382,9 +383,9 @@ class Cluster:
             self.grid.node_is_up(configuration.NODE)
         elif program.name.startswith("icestorm"):
             probe.ping(*program.ports["topics"], "IceStorm/TopicManager", self.server_tls())
-        elif program.name.endswith("router"):
+        elif "-router" in program.name:
             host, port = next(iter(program.ports.values()))
-            certificate = "client.cfg" if program.name == "client-router" else "entitygl2client.cfg"
+            certificate = "client.cfg" if program.name.startswith("client") else "entitygl2client.cfg"
             probe.Connection(host, port, self.tls(certificate)).close()
         elif not any(line.startswith("ready ") for line in processes.said(self.log(program.name), its).splitlines()):
             raise probe.NoAnswer("no line 'ready …' yet")
@@ -399,20 +400,20 @@ class Cluster:
                 found = len(probe.subscribers(*at, f"{topic}-{probe.CONTRACT}", self.server_tls()))
                 if found < servers:
                     raise probe.NoAnswer(f"{found} of {servers} servers listen to {topic}")
-        self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs[:-2]])
+        self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs if "-router" not in program.name])
 
     def wait_for_sessions(self, plan, seconds):
         """What counts: somebody who knows nothing but client.cfg or entitygl2client.cfg gets a session."""
         def log_in(file):
-            router, _, endpoint = self.told(file, "Ice.Default.Router").partition(":")
-            words = endpoint.split()
-            probe.make_session(words[words.index("-h") + 1], int(words[words.index("-p") + 1]), router,
-                               self.told(file, "Axon.User"), self.told(file, "Axon.Password"), self.tls(file))
+            router, *endpoints = re.split(r":(?=tcp |ssl )", self.told(file, "Ice.Default.Router"))
+            for words in map(str.split, endpoints):
+                probe.make_session(words[words.index("-h") + 1], int(words[words.index("-p") + 1]), router,
+                                   self.told(file, "Axon.User"), self.told(file, "Axon.Password"), self.tls(file))
 
         names = [program.name for program in configuration.programs(plan)]
-        self.wait(lambda: log_in("entitygl2client.cfg"), "an Entity Manager gets a session through the entity router",
+        self.wait(lambda: log_in("entitygl2client.cfg"), "an Entity Manager gets a session through each entity router",
                   seconds, names)
-        self.wait(lambda: log_in("client.cfg"), "a client gets a session through the client router", seconds, names)
+        self.wait(lambda: log_in("client.cfg"), "a client gets a session through each client router", seconds, names)
         self.progress.show("axon ls")
         self.run_axon("--config", self.folder / "client.cfg", "ls")
         self.progress.show()

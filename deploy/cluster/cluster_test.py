@@ -59,10 +59,26 @@ class Configuration(unittest.TestCase):
             self.assertEqual(len(keys), len(set(keys)), name)
 
     def test_no_port_is_given_twice_in_the_largest_cluster(self):
-        plan = Plan(pathlib.Path("/folder"), front_ends=9, entity_servers=9)
+        plan = Plan(pathlib.Path("/folder"), front_ends=9, entity_servers=9, routers=2)
         ports = [port for program in configuration.programs(plan) for _, port in program.ports.values()]
         self.assertEqual(len(ports), len(set(ports)))
         self.assertLess(max(ports), plan.base_port + 200)
+
+    def test_of_several_routers_everybody_is_told_all_and_each_has_ports_of_its_own(self):
+        plan = dataclasses.replace(self.plan, routers=2)
+        files = configuration.files(plan, PASSWORDS)
+        self.assertEqual(sorted(files.keys() - self.files.keys()), ["glacier2clients-2.cfg", "glacier2entities-2.cfg"])
+        for file, router, whom in (("client.cfg", "client-router", "clients"), ("entitygl2client.cfg", "entity-router", "entities")):
+            _, first, second = configuration.read_property(files[file], "Ice.Default.Router").split(":")
+            for name, endpoint in ((router, first), (f"{router}2", second)):
+                own = files[configuration.router_file(name)]
+                self.assertEqual(configuration.read_property(own, "Glacier2.Client.Endpoints"), endpoint)
+                self.assertTrue(endpoint.endswith(f"-p {plan.port(name, whom)}"))
+                self.assertTrue(configuration.read_property(own, "Glacier2.Server.Endpoints").endswith(f"-p {plan.port(name, 'callbacks')}"))
+        one, other = files["glacier2clients.cfg"], files["glacier2clients-2.cfg"]
+        self.assertEqual(configuration.read_property(one, "Glacier2.SessionManager"), configuration.read_property(other, "Glacier2.SessionManager"))
+        with self.assertRaisesRegex(Misconfigured, "--routers 3: expected 1 to 2"):
+            dataclasses.replace(plan, routers=3).check()
 
     def test_each_router_knows_all_servers_of_its_kind_and_nothing_else_behind_it(self):
         for file, servers in (("glacier2clients.cfg", ("fe1", "fe2")), ("glacier2entities.cfg", ("es1", "es2", "es3"))):
@@ -143,7 +159,7 @@ class OfIceGrid(unittest.TestCase):
     """What is written for axon-cluster up --grid."""
 
     def setUp(self):
-        self.plan = Plan(pathlib.Path("/folder"), front_ends=2, entity_servers=3, grid=True)
+        self.plan = Plan(pathlib.Path("/folder"), front_ends=2, entity_servers=3, routers=2, grid=True)
         self.files = configuration.files(self.plan, PASSWORDS, PLACE)
         self.application = ElementTree.fromstring(self.files["icegrid.xml"]).find("application")
 
@@ -155,7 +171,7 @@ class OfIceGrid(unittest.TestCase):
         found = {}
         for instance in node.iter("server-instance"):
             template = templates[instance.get("template")]
-            values = {**variables, **{one.get("name"): instance.get(one.get("name")) for one in template.iter("parameter")}}
+            values = {**variables, **{one.get("name"): instance.get(one.get("name"), one.get("default")) for one in template.iter("parameter")}}
 
             def filled(text, its=values):
                 return re.sub(r"\$\{(\w+)\}", lambda name: its[name[1]], text)

@@ -9,6 +9,7 @@ import pathlib
 from xml.sax.saxutils import quoteattr
 
 SERVERS_MAX = 9
+ROUTERS_MAX = 2
 PORTS_FROM, PORTS_TO = 1024, 65535 - 200
 BASE_PORT = 10420
 LOOPBACK = "127.0.0.1"
@@ -28,6 +29,7 @@ class Plan:
     folder: pathlib.Path
     front_ends: int = 1
     entity_servers: int = 1
+    routers: int = 1  # for clients, and as many for entities
     base_port: int = BASE_PORT
     listen: str = LOOPBACK  # where the two routers listen; everything else is on loopback
     tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
@@ -37,6 +39,8 @@ class Plan:
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
             if not 1 <= value <= SERVERS_MAX:
                 raise Misconfigured(f"{option} {value}: expected 1 to {SERVERS_MAX}")
+        if not 1 <= self.routers <= ROUTERS_MAX:
+            raise Misconfigured(f"--routers {self.routers}: expected 1 to {ROUTERS_MAX}")
         if not PORTS_FROM <= self.base_port <= PORTS_TO:
             raise Misconfigured(f"--base-port {self.base_port}: expected {PORTS_FROM} to {PORTS_TO} "
                                 "(200 ports from there on are used); fix: choose such a port, or 0 for a free range")
@@ -62,10 +66,10 @@ class Plan:
             return self.base_port + 6 + REGISTRY_PORTS.index(which)
         if program.startswith("icegridnode"):
             return self.base_port + {"registry": 9}[which]
-        if program == "client-router":
-            return self.base_port + {"clients": 2, "callbacks": 3}[which]
-        if program == "entity-router":
-            return self.base_port + {"entities": 4, "callbacks": 5}[which]
+        whom, router, number = program.partition("-router")
+        if router:
+            first = {"client": 2, "entity": 4}[whom] + (102 if number else 0)
+            return self.base_port + first + {"clients": 0, "entities": 0, "callbacks": 1}[which]
         first = 0 if program.startswith("fe") else 100
         return self.base_port + first + 10 * int(program[2:]) + {
             "data": 0, "signal": 1, "router": 2, "topics": 3, "servers": 4}[which]
@@ -75,6 +79,9 @@ class Plan:
 
     def entity_server_names(self):
         return [f"es{n}" for n in range(1, self.entity_servers + 1)]
+
+    def router_names(self, whom):
+        return [f"{whom}-router", *(f"{whom}-router{n}" for n in range(2, self.routers + 1))]
 
     def storm_names(self):
         return [f"icestorm{n}" for n in range(1, STORM_REPLICAS + 1)] if self.grid else ["icestorm"]
@@ -125,11 +132,20 @@ def programs(plan):
     for number, name in enumerate(plan.front_end_names(), 1):
         found.append(Program(name, "front-end server", ("axon-server", "--role", "front-end", "--config",
                                                          f"frontendserver-{number}.cfg"), at(name, *SERVER_PORTS), bool(plan.grid)))
-    for name, whom, file in (("entity-router", "entities", "glacier2entities.cfg"),
-                             ("client-router", "clients", "glacier2clients.cfg")):
-        found.append(Program(name, f"Glacier2 for {whom}", ("glacier2router", f"--Ice.Config={file}"),
-                             {whom: (plan.public_host(name), plan.port(name, whom)), **at(name, "callbacks")}, bool(plan.grid)))
+    for one in ("entity", "client"):
+        whom = WHOM[one]
+        for name in plan.router_names(one):
+            found.append(Program(name, f"Glacier2 for {whom}", ("glacier2router", f"--Ice.Config={router_file(name)}"),
+                                 {whom: (plan.public_host(name), plan.port(name, whom)), **at(name, "callbacks")}, bool(plan.grid)))
     return found
+
+
+def router_file(name):
+    whom, _, number = name.partition("-router")
+    return f"glacier2{WHOM[whom]}{f'-{number}' if number else ''}.cfg"
+
+
+WHOM = {"client": "clients", "entity": "entities"}  # of a router
 
 
 def folders(plan, names):
@@ -185,9 +201,10 @@ class Place:
 
 def files(plan, passwords, place=None):
     """{file name: text}. `passwords`: {user: password} of the admin and of the entities. `place`: for IceGrid."""
-    result = {"glacier2clients.cfg": glacier2(plan, "client-router", "Axon.Clients", "clients", plan.front_end_names()),
-              "glacier2entities.cfg": glacier2(plan, "entity-router", "Axon.Entities", "entities",
-                                               plan.entity_server_names()),
+    result = {**{router_file(name): glacier2(plan, name, "Axon.Clients", "clients", plan.front_end_names())
+                 for name in plan.router_names("client")},
+              **{router_file(name): glacier2(plan, name, "Axon.Entities", "entities", plan.entity_server_names())
+                 for name in plan.router_names("entity")},
               "client.cfg": client(plan, passwords[ADMIN]),
               "entitygl2client.cfg": entity_manager(plan, passwords[ENTITY])}
     if plan.grid:
@@ -356,11 +373,21 @@ Server.Users={plan.folder}/users.cfg
         tls(plan, certificate_of(plan, name)) if plan.tls else "")
 
 
+def the_routers(plan, whom):
+    return (f"The router, the only program that {whom} has to know:" if plan.routers == 1 else
+            f"The routers, the only programs that {whom} has to know; one that answers is chosen:")
+
+
+def routers(plan, whom):
+    """Their proxy, as clients or Entity Managers are told it."""
+    return f"Axon.{WHOM[whom].title()}/router:" + ":".join(public(plan, name, WHOM[whom]) for name in plan.router_names(whom))
+
+
 def client(plan, password):
     return f"""\
 # A client:  axon --config THIS FILE ls   or for a whole shell:  export AXON_CONFIG=THIS FILE
-# The router, the only program that a client has to know:
-Ice.Default.Router=Axon.Clients/router:{public(plan, "client-router", "clients")}
+# {the_routers(plan, "a client")}
+Ice.Default.Router={routers(plan, "client")}
 # The user who logs in; without Axon.Password the command asks for it:
 Axon.User={ADMIN}
 Axon.Password={password}
@@ -370,8 +397,8 @@ Axon.Password={password}
 def entity_manager(plan, password):
     return f"""\
 # An Entity Manager:  axon-entity-manager --config THIS FILE --application NAME
-# The router, the only program that an Entity Manager has to know:
-Ice.Default.Router=Axon.Entities/router:{public(plan, "entity-router", "entities")}
+# {the_routers(plan, "an Entity Manager")}
+Ice.Default.Router={routers(plan, "entity")}
 Axon.User={ENTITY}
 Axon.Password={password}
 {tls(plan, certificate_of(plan, "entity")) if plan.tls else ""}"""
@@ -392,14 +419,14 @@ IceSSL.TrustOnly.Client={servers}
 
 
 def router_tls(plan, proxies, name):
-    servers = only("front-end" if name == "client-router" else "entity-server")
+    servers = only("front-end" if name.startswith("client") else "entity-server")
     return f"""\
 # Who shows a certificate and gives no user is who the certificate says:
 Glacier2.SSLPermissionsVerifier={proxies("SSLPermissionsVerifier")}
 Glacier2.SSLSessionManager={proxies("SSLSessionManager")}
 Glacier2.SSLPermissionsVerifier.ConnectionCached=0
 Glacier2.SSLSessionManager.ConnectionCached=0
-{tls(plan, certificate_of(plan, name))}# The servers of this router, and nobody else, are called, and may send messages for its {"clients" if name == "client-router" else "entities"}:
+{tls(plan, certificate_of(plan, name))}# The servers of this router, and nobody else, are called, and may send messages for its {"clients" if name.startswith("client") else "entities"}:
 IceSSL.TrustOnly.Client={servers}
 IceSSL.TrustOnly.Server.Glacier2.Server={servers}
 """
@@ -410,9 +437,9 @@ def certificates(plan):
     grid = {name: ("registry", [plan.host(name)]) for name in ("icegridregistry", *plan.node_programs())} if plan.grid else {}
     if not plan.tls:
         return grid
-    routers = {f"{whom}-router": ("router", list(dict.fromkeys((plan.public_host(f"{whom}-router"), plan.host(f"{whom}-router")))))
-               for whom in ("entity", "client")}
-    return {**grid, **{name: ("storm", [plan.host(name)]) for name in plan.storm_names()}, **routers,
+    routers_of = {name: ("router", list(dict.fromkeys((plan.public_host(name), plan.host(name)))))
+                  for whom in WHOM for name in plan.router_names(whom)}
+    return {**grid, **{name: ("storm", [plan.host(name)]) for name in plan.storm_names()}, **routers_of,
             **{name: ("entity-server", [name, plan.host(name)]) for name in plan.entity_server_names()},
             **{name: ("front-end", [name, plan.host(name)]) for name in plan.front_end_names()},
             "client": ("client", [ADMIN]), "entity": ("entity", [ENTITY])}
@@ -511,7 +538,8 @@ def grid_application(plan, descriptor, nodes):
         kind = program.rstrip("0123456789")
         if kind in TEMPLATES:
             return f'<server-instance template="{TEMPLATES[kind]}" number="{program[len(kind):]}"/>'
-        return f'<server-instance template="{kind.title().replace("-", "")}"/>'
+        number = f' number="{program[len(kind):]}"' if program != kind else ""
+        return f'<server-instance template="{kind.title().replace("-", "")}"{number} file="{router_file(program)}"/>'
 
     text = ""
     for node, (variables, names) in nodes.items():
