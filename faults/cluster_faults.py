@@ -48,23 +48,24 @@ LONG_S = 3600
 FROZEN_S = 3.0  # longer than any time-out of a session
 HARMS = {"kill": "kills", "lose": "kills, and does not start again,", "freeze": "freezes"}
 Kind = collections.namedtuple("Kind", "victim harm promise")
+CLIENT_ROUTER, ENTITY_ROUTER, FRONT_END, ENTITY_SERVER = (
+    "a client router", "an entity router", "the client's front-end server", "an entity server")
 KINDS = {
     "kill-icestorm": Kind("icestorm", "kill", "signals go on without it: no robot has to stop"),
-    "kill-client-router": Kind("client-router", "kill", "the client has lost every robot"),
-    "kill-entity-router": Kind("entity-router", "kill", "every Entity Manager has lost its server"),
-    "kill-front-end": Kind("the client's front-end server", "kill", "the client has lost every robot"),
-    "kill-entity-server": Kind("one entity server", "kill", "its entities have lost their server; the others go on"),
-    "lose-front-end": Kind("the client's front-end server", "lose", "another one takes the client, with its robots"),
-    "lose-entity-server": Kind("one entity server", "lose", "another one takes its entities"),
+    "kill-client-router": Kind(CLIENT_ROUTER, "kill", "its clients have lost every robot"),
+    "kill-entity-router": Kind(ENTITY_ROUTER, "kill", "its Entity Managers have lost their server"),
+    "kill-front-end": Kind(FRONT_END, "kill", "the client has lost every robot"),
+    "kill-entity-server": Kind(ENTITY_SERVER, "kill", "its entities have lost their server; the others go on"),
+    "lose-client-router": Kind(CLIENT_ROUTER, "lose", "its clients go to the other one"),
+    "lose-entity-router": Kind(ENTITY_ROUTER, "lose", "its Entity Managers go to the other one"),
+    "lose-front-end": Kind(FRONT_END, "lose", "another one takes the client, with its robots"),
+    "lose-entity-server": Kind(ENTITY_SERVER, "lose", "another one takes its entities"),
     "freeze-icestorm": Kind("icestorm", "freeze", "signals go on without it: no robot has to stop"),
-    "freeze-client-router": Kind("client-router", "freeze", "the client has lost every robot"),
-    "freeze-entity-router": Kind("entity-router", "freeze", "every Entity Manager has lost its server"),
-    "freeze-front-end": Kind("the client's front-end server", "freeze", "another one takes the client, with its robots"),
-    "freeze-entity-server": Kind("one entity server", "freeze", "another one takes its entities"),
+    "freeze-client-router": Kind(CLIENT_ROUTER, "freeze", "its clients go to the other one"),
+    "freeze-entity-router": Kind(ENTITY_ROUTER, "freeze", "its Entity Managers go to the other one"),
+    "freeze-front-end": Kind(FRONT_END, "freeze", "another one takes the client, with its robots"),
+    "freeze-entity-server": Kind(ENTITY_SERVER, "freeze", "another one takes its entities"),
 }
-# Who they are is found out in each trial, and there are others of their kind.
-FRONT_END, ENTITY_SERVER = KINDS["kill-front-end"].victim, KINDS["kill-entity-server"].victim
-ALL_STOP = ("client-router", "entity-router", FRONT_END)
 
 
 class HostProbe(threading.Thread):
@@ -167,11 +168,11 @@ class Run:
         self.random = random.Random(options.seed)
         self.probe = HostProbe()
         self.lab = Laboratory(options.bin, application="Greeter", environment="cluster")
-        self.robots = []
+        self.robots, self.other = [], None
 
     def start(self):
         self.lab.start_cluster(shape=("--base-port", 0, "--front-ends", self.options.front_ends,
-                                      "--entity-servers", self.options.entity_servers))
+                                      "--entity-servers", self.options.entity_servers, "--routers", self.options.routers))
         self.robots = [Robot(self.lab, number) for number in range(1, self.options.entities + 1)]
         self.names = [robot.name for robot in self.robots]
         other = self.lab.folder / "other"
@@ -184,8 +185,9 @@ class Run:
         wait_until(lambda: len(self.lab.entities()) == len(self.robots), "all robots are there", 30)
 
     def end(self):
-        subprocess.run([self.lab.bin / "axon", "agent", "stop"], env=self.other, stdout=subprocess.DEVNULL,
-                       stderr=subprocess.DEVNULL, timeout=20, check=False)
+        if self.other:
+            subprocess.run([self.lab.bin / "axon", "agent", "stop"], env=self.other, stdout=subprocess.DEVNULL,
+                           stderr=subprocess.DEVNULL, timeout=20, check=False)
         self.lab.end()
         for robot in self.robots:
             robot.end()
@@ -224,17 +226,18 @@ class Run:
                 raise problem
         wait_until(lambda: all(entity["state"] == "BUSY" for entity in self.lab.entities()), "every robot is busy", 20)
 
-    def victim(self, kind):
-        if kind.victim == FRONT_END:
-            return self.lab.entities()[0]["holder_id"].split(":")[0]
-        if kind.victim == ENTITY_SERVER:
-            return self.random.choice(self.lab.server.names("es"))
-        return kind.victim
+    def candidates(self, kind):
+        """The programs of the kind."""
+        beginning = {CLIENT_ROUTER: "client-router", ENTITY_ROUTER: "entity-router", FRONT_END: "fe", ENTITY_SERVER: "es"}
+        return self.lab.server.names(beginning.get(kind.victim, kind.victim))
 
     def trial(self, kind, report):
         self.prepare()
-        victim = self.victim(kind)
-        replaceable = kind.victim in (FRONT_END, ENTITY_SERVER)
+        candidates = self.candidates(kind)
+        replaceable = len(candidates) > 1
+        # Every robot loses the client or its server.
+        everybody = kind.victim == FRONT_END or kind.victim in (CLIENT_ROUTER, ENTITY_ROUTER) and not replaceable
+        victim = self.lab.entities()[0]["holder_id"].split(":")[0] if kind.victim == FRONT_END else self.random.choice(candidates)
         record = json.loads((self.lab.server.folder / "running.json").read_text())[victim]
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
         begin = time.monotonic()
@@ -243,7 +246,7 @@ class Run:
         else:
             processes.strike(record, signal.SIGKILL, 5.0)
         try:
-            self.judge_stops(kind, victim, begin, report)
+            self.judge_stops(victim, begin, everybody, report)
             if kind.harm == "kill":
                 back = time.monotonic()
                 self.lab.server.do("restart", victim)
@@ -268,10 +271,9 @@ class Run:
             robot.task.end()
         return victim
 
-    def judge_stops(self, kind, victim, begin, report):
+    def judge_stops(self, victim, begin, everybody, report):
         def all_stopped():
             return all(robot.first_stop(begin) for robot in self.robots)
-        everybody = kind.victim in ALL_STOP
         patience = begin + STOP_MS / 1000 + (PATIENCE_S if everybody else 0.05)
         while not all_stopped() and time.monotonic() < patience:
             time.sleep(0.002)
@@ -373,6 +375,7 @@ def main():
     parser.add_argument("--entities", type=int, default=4, help="robots, 1 to 16 (%(default)s)")
     parser.add_argument("--front-ends", type=int, default=2)
     parser.add_argument("--entity-servers", type=int, default=2)
+    parser.add_argument("--routers", type=int, default=2, help="for clients, and as many for Entity Managers")
     parser.add_argument("--seed", type=int, default=1, help="seed that chooses moments and programs (%(default)s)")
     parser.add_argument("--json", type=pathlib.Path, help="write every latency to this file")
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "release" / "bin", help="folder of the programs")
@@ -385,6 +388,12 @@ def main():
     for kind in kinds:
         if kind not in KINDS:
             parser.error(f"no kind '{kind}'; expected all, or some of {', '.join(KINDS)}")
+    several = {FRONT_END: ("--front-ends", options.front_ends), ENTITY_SERVER: ("--entity-servers", options.entity_servers),
+               CLIENT_ROUTER: ("--routers", options.routers), ENTITY_ROUTER: ("--routers", options.routers)}
+    for name in kinds:
+        option, number = several.get(KINDS[name].victim, ("", 0))
+        if KINDS[name].harm == "lose" and number < 2:
+            parser.error(f"{name}: another program is to take over; expected {option} 2 or more")
     if not 1 <= options.entities <= 16 or options.trials < 1:
         parser.error("expected --entities 1 to 16 and at least one trial")
     reports = []
@@ -415,7 +424,7 @@ def main():
     if options.json:
         options.json.write_text(json.dumps({
             "machine": {"system": platform.platform(), "cores": os.cpu_count()}, "seed": options.seed,
-            "entities": options.entities, "front_ends": options.front_ends, "entity_servers": options.entity_servers,
+            "entities": options.entities, "front_ends": options.front_ends, "entity_servers": options.entity_servers, "routers": options.routers,
             "host_stalls": len(run.probe.stalls), "results": [report.as_dict() for report in reports]}, indent=1) + "\n")
     return 1 if broken else 0
 

@@ -164,8 +164,9 @@ class Cluster:
 class Laboratory:
     """A server and any number of entities on loopback, on ports of their own, in a folder of its own.
 
-    In the environment "cluster" (AXON_ENVIRONMENT) the server is a whole `axon-cluster`, clients and Entity Managers
-    are told its routers, and nothing else is different for who uses this class.
+    In the environment "cluster" (AXON_ENVIRONMENT) the server is a whole `axon-cluster`, with the options of `up` that
+    AXON_CLUSTER names (such as "--grid --tls"); clients and Entity Managers are told its routers, and nothing else is different for
+    who uses this class.
 
     With a `speed` the virtual laboratory goes that many times faster, and everything that is started here takes the
     laboratory's time as its own (AXON_CLOCK): start_world() or start_robot() then comes first, once.
@@ -213,8 +214,9 @@ class Laboratory:
         self.env["AXON_SERVER"] = self.at["client"]
         return self.server
 
-    def start_cluster(self, *more, shape=("--base-port", 0)):
+    def start_cluster(self, *more, shape=None):
         """Starts what does not run of it; of axon-server's options it understands --users FILE."""
+        shape = shape or ("--base-port", 0, *os.environ.get("AXON_CLUSTER", "").split())
         self.server = self.server or Cluster(self, shape)
         users = self.server.folder / "users.cfg"
         if more and not users.exists():

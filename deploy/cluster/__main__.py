@@ -8,31 +8,35 @@ import pathlib
 import sys
 
 sys.dont_write_bytecode = True
-from cluster import Cluster, Failed, default_folder  # noqa: E402
-from configuration import BASE_PORT, LOOPBACK, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
+import hosts  # noqa: E402
+from cluster import Cluster, Failed, configure, default_folder  # noqa: E402
+from configuration import BASE_PORT, LOOPBACK, ROUTERS_MAX, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
 
 EPILOG = f"""\
   axon-cluster up                                    one server of each kind
-  axon-cluster up --front-ends 2 --entity-servers 2
+  axon-cluster up --front-ends 2 --entity-servers 2 --routers 2
+  axon-cluster up --grid                             IceGrid starts them, and starts again what ends
   axon-cluster status
   axon-cluster kill fe1                              kill -9, to see what happens
   axon-cluster restart fe1
   axon-cluster down
+  axon-cluster configure --hosts hosts.txt --to out  several machines: the folder of each
 
-Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}.
+Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}; with --routers 2 also entity-router2 and
+client-router2; with --grid icegridregistry, icegridnode, and icestorm1 … icestorm3 in place of icestorm.
 Exit status: 0 done (status: everything runs); 1 a program did not start or is not running; 2 wrong options, a port that is
 in use, or a missing package. docs/how-to/deploy.md explains every file of the folder."""
 
 
 def parse(arguments):
     parser = argparse.ArgumentParser(
-        prog="axon-cluster", description="Runs IceStorm, two Glacier2 routers and Axon's servers on this machine.",
+        prog="axon-cluster", description="Runs IceStorm, Glacier2 routers and Axon's servers on this machine.",
         epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--folder", type=pathlib.Path, default=default_folder(),
                         help="folder of configuration and logs (%(default)s)")
     common.add_argument("--programs", type=pathlib.Path, help="folder of axon-server and axon (default: that of axon-cluster)")
-    verbs = parser.add_subparsers(dest="verb", required=True, metavar="up | status | kill | restart | down")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="up | status | kill | restart | down | configure")
 
     def add(name, text):
         return verbs.add_parser(name, parents=[common], help=text, description=text)
@@ -40,13 +44,27 @@ def parse(arguments):
     up = add("up", "Starts the programs that are not running and waits until the cluster can be used. Options that are not given keep their values.")
     up.add_argument("--front-ends", type=int, metavar="N", help=f"front-end servers, 1 to {SERVERS_MAX} (1)")
     up.add_argument("--entity-servers", type=int, metavar="M", help=f"entity servers, 1 to {SERVERS_MAX} (1)")
+    up.add_argument("--routers", type=int, metavar="R", help=f"routers for clients, and as many for entities, 1 to {ROUTERS_MAX} (1)")
     up.add_argument("--base-port", type=int, metavar="P", help=f"first of 200 ports ({BASE_PORT}); 0 = a free range")
-    up.add_argument("--listen", metavar="ADDRESS", help=f"address on which the two routers listen ({LOOPBACK}); everything else listens on loopback")
+    up.add_argument("--listen", metavar="ADDRESS", help=f"address on which the routers listen ({LOOPBACK}); everything else listens on loopback")
     up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="all connections use TLS, with certificates: those of clients and entities, and those between the programs")
+    up.add_argument("--grid", action=argparse.BooleanOptionalAction, help="a registry and a node of IceGrid start the programs, with three replicas of IceStorm, and start again what ends (packages zeroc-icegrid, zeroc-ice-utils)")
     add("status", "Shows which programs run, with their ports and logs.").add_argument("--json", action="store_true")
     add("kill", "Kills a program with SIGKILL.").add_argument("name")
     add("restart", "Ends a program and starts it again.").add_argument("name")
     add("down", "Ends all programs, in order.")
+    several = verbs.add_parser(
+        "configure", formatter_class=argparse.RawDescriptionHelpFormatter, help="Writes the configuration of several machines.",
+        description="Writes, for each machine, the folder with which IceGrid starts its programs there. All links are under TLS.",
+        epilog=f"FILE has one line for each machine, by the name or IPv4 address under which the others reach it, such as\n{hosts.EXAMPLE}\n"
+               "docs/how-to/two-machines.md goes on from there.")
+    several.add_argument("--hosts", type=pathlib.Path, required=True, metavar="FILE", help="which program runs on which machine")
+    several.add_argument("--to", type=pathlib.Path, required=True, metavar="DIR", help="the folder to write; it must be empty, or not exist")
+    several.add_argument("--base-port", type=int, metavar="P", default=BASE_PORT, help=f"first of 200 ports ({BASE_PORT})")
+    several.add_argument("--user", default=hosts.ACCOUNT, help=f"as whom the programs run on the machines ({hosts.ACCOUNT})")
+    several.add_argument("--at", type=pathlib.Path, default=hosts.FOLDER, metavar="DIR",
+                         help=f"where the folder will be on each machine ({hosts.FOLDER}, as the units of systemd want it)")
+    several.add_argument("--programs", type=pathlib.Path, help="folder of axon-server (default: that of axon-cluster)")
     return parser.parse_args(arguments)
 
 
@@ -57,8 +75,8 @@ def in_folder(options):
 
 def up(cluster, options):
     begin = datetime.datetime.now()
-    done = cluster.up({"front_ends": options.front_ends, "entity_servers": options.entity_servers,
-                       "base_port": options.base_port, "listen": options.listen, "tls": options.tls})
+    done = cluster.up({"front_ends": options.front_ends, "entity_servers": options.entity_servers, "routers": options.routers,
+                       "base_port": options.base_port, "listen": options.listen, "tls": options.tls, "grid": options.grid})
     for program, state in done:
         ports = ", ".join(f"{what} {host}:{port}" for what, (host, port) in program.ports.items())
         print(f"  {program.name:<14} {'ready' if state == 'started' else 'runs already':<13} {program.role}: {ports}")
@@ -71,6 +89,8 @@ Clients            export AXON_CONFIG={folder}/client.cfg
 Entity Managers    axon-entity-manager --config {folder}/entitygl2client.cfg --application NAME
 Users              {read_property(client, 'Axon.User')} (password in client.cfg) and those of users.cfg
 The end            axon-cluster down{in_folder(options)}""")
+    if cluster.plan().grid:
+        print(f"IceGrid            icegridadmin --Ice.Config={folder}/icegridadmin.cfg")
     return 0
 
 
@@ -95,6 +115,12 @@ def kill(cluster, options):
     if not cluster.kill(options.name):
         print(f"{options.name} was not running")
         return 1
+    if options.name == "icegridnode":
+        print(f"icegridnode killed; its programs go on, and axon-cluster down{in_folder(options)}, then up, brings it back")
+        return 0
+    if cluster.program(options.name).by_node:
+        print(f"{options.name} killed; its node starts it again")
+        return 0
     print(f"{options.name} killed; axon-cluster restart {options.name}{in_folder(options)} brings it back")
     return 0
 
@@ -111,10 +137,28 @@ def down(cluster, options):
     return 0
 
 
+def several_machines(options, programs):
+    plan = configure(programs, options.hosts, options.to, options.base_port, options.user, options.at)
+    for machine, names in plan.nodes().items():
+        print(f"  {machine:<20} {', '.join(names)}")
+    registry = plan.host("icegridregistry")
+    print(f"""Written: {options.to}
+
+1. The machine with the CA    sh {options.to}/certificates.sh
+2. Every machine MACHINE      copy {options.to}/MACHINE to {options.at} there, for the user {options.user} only
+3. {registry:<26} systemctl enable --now axon-icegridregistry
+4. Every machine              systemctl enable --now axon-icegridnode
+5. {registry:<26} icegridadmin --Ice.Config={options.at}/icegridadmin.cfg -e 'application add {options.at}/icegrid.xml'
+6. Clients, Entity Managers   the files of {options.to}/{hosts.PEOPLE}; set IceSSL.DefaultDir in them to the folder of their certificates""")
+    return 0
+
+
 def main(arguments):
     options = parse(arguments)
     programs = options.programs or pathlib.Path(sys.argv[0]).resolve().parent
     try:
+        if options.verb == "configure":
+            return several_machines(options, programs.resolve())
         return {"up": up, "status": status, "kill": kill, "restart": restart, "down": down}[options.verb](
             Cluster(options.folder, programs.resolve()), options)
     except (Misconfigured, Failed) as error:

@@ -13,7 +13,9 @@ import hashlib
 import json
 import os
 import pathlib
+import pwd
 import random
+import re
 import secrets
 import shutil
 import socket
@@ -23,14 +25,19 @@ import sys
 import time
 
 import configuration
+import hosts
 import probe
 import processes
+from grid import Grid, record
 from configuration import ADMIN, ENTITY, Misconfigured
 
 PACKAGES = {"icebox": "zeroc-icebox libzeroc-icestorm3.7", "glacier2router": "zeroc-glacier2"}
+GRID_PACKAGES = {"icegridregistry": "zeroc-icegrid", "icegridnode": "zeroc-icegrid", "icegridadmin": "zeroc-ice-utils"}
 USERS = {ADMIN: "admin", ENTITY: "entity"}  # name: role
 USER_FILES = {ADMIN: "client.cfg", ENTITY: "entitygl2client.cfg"}  # who is told its password there
 READY_S = 20.0
+GRID_READY_S = 60.0  # more programs, all at once, and a master is elected
+NODE_ENDS_S = 30.0  # it ends its programs first
 
 
 class Failed(Exception):
@@ -76,6 +83,49 @@ def free_range(plan):
     raise Misconfigured("--base-port 0: no free range of 200 ports between 11000 and 32200 was found; fix: choose one with --base-port P")
 
 
+def add_user(axon_programs, file, user, role, password):
+    done = subprocess.run([axon_programs / "axon-server", "--users", file, "--add-user", user, "--user-role", role],
+                          input=f"{password}\n", text=True, capture_output=True, check=False)
+    if done.returncode != 0:
+        raise Failed(f"axon-server --add-user {user} ended with {done.returncode}: {done.stderr.strip()}")
+
+
+def configure(axon_programs, hosts_file, target, base_port, account, folder):
+    """Writes what each machine of `hosts_file` needs into `target`, which must be empty. Returns the plan."""
+    try:
+        with open(hosts_file, encoding="utf-8") as file:
+            text = file.read(hosts.SIZE_MAX + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        raise Misconfigured(f"{hosts_file}: {error}; fix: name a text file with one line for each machine, as in\n{hosts.EXAMPLE}") from error
+    plan = hosts.read(text, hosts_file, folder, base_port)
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise Misconfigured(f"{target} exists and is not an empty folder; fix: name another one with --to, or delete it")
+    if not (axon_programs / "axon-server").exists():
+        raise Misconfigured(f"{axon_programs / 'axon-server'} does not exist; fix: name its folder with --programs")
+    target.mkdir(mode=0o700, parents=True, exist_ok=True)
+    passwords = {user: secrets.token_urlsafe(18) for user in USERS}
+    for user, role in USERS.items():
+        add_user(axon_programs, target / "users.cfg", user, role, passwords[user])
+    users = (target / "users.cfg").read_text(encoding="utf-8")
+    for file in target.glob("users.cfg*"):
+        file.unlink()
+    texts = hosts.files(plan, passwords, users, configuration.Place(descriptor(), hosts.PROGRAMS, account))
+    for name in [*plan.machines(), hosts.PEOPLE, *hosts.folders(plan)]:
+        (target / name).mkdir(mode=0o700)
+    for name, text in texts.items():
+        write_private(target / name, text)
+    return plan
+
+
+def descriptor():
+    """The text of axon.xml, which is packed with this program; in the sources it has a folder of its own."""
+    here = pathlib.Path(__file__).parent
+    try:
+        return __loader__.get_data(str(here / "axon.xml")).decode()
+    except OSError:
+        return (here.parent / "icegrid" / "axon.xml").read_text(encoding="utf-8")
+
+
 class Progress:
     """What goes on, for a person: a line that is drawn again on a terminal, nothing elsewhere."""
 
@@ -98,6 +148,7 @@ class Cluster:
         self.folder = pathlib.Path(folder).expanduser().resolve()
         self.axon_programs = axon_programs  # where axon-server and axon lie
         self.progress = Progress()
+        self.grid = Grid(self.folder)
 
     @contextlib.contextmanager
     def locked(self):
@@ -130,7 +181,12 @@ class Cluster:
         return configuration.Plan(folder=self.folder, **known)
 
     def records(self):
-        return self.remembered("running.json")
+        """{program: its process}: those that this command has started, and those that IceGrid's node has."""
+        found = self.remembered("running.json")
+        for program in configuration.programs(self.plan()) if (self.folder / "run").exists() else []:
+            if program.by_node and (its := record(self.folder, program.name)):
+                found[program.name] = its
+        return found
 
     def log(self, name):
         return self.folder / "log" / f"{name}.log"
@@ -149,8 +205,6 @@ class Cluster:
     def prepare(self, wishes):
         """The folder as `wishes` (names of Plan's fields; None = as before) want it. Returns the plan."""
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        (self.folder / "log").mkdir(mode=0o700, exist_ok=True)
-        (self.folder / "globalservices").mkdir(mode=0o700, exist_ok=True)
         with self.locked():
             known = self.remembered("cluster.json")
             before = known.get("plan", {})
@@ -164,19 +218,22 @@ class Cluster:
             if plan.leaves_the_machine() and not plan.tls:
                 self.progress.say(f"warning: passwords and commands travel in clear to and from {plan.listen}")
             fields = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "folder"}
-            running = [name for name, record in self.records().items() if processes.runs(record)]
+            running = [name for name, its in (self.records() if before else {}).items() if processes.runs(its)]
             if running and fields != before:
                 raise Misconfigured(f"a cluster of another kind runs in {self.folder} ({', '.join(running)}); "
                                     "fix: end it with axon-cluster down")
-            self.require_programs()
+            self.require_programs(plan)
+            for name in configuration.folders(plan, [program.name for program in configuration.programs(plan)]):
+                (self.folder / name).mkdir(mode=0o700, exist_ok=True)
             self.write_files(plan, known.get("generated", {}), fields)
         return plan
 
-    def require_programs(self):
-        missing = [name for name in PACKAGES if not shutil.which(name)]
+    def require_programs(self, plan):
+        packages = {**PACKAGES, **(GRID_PACKAGES if plan.grid else {})}
+        missing = [name for name in packages if not shutil.which(name)]
         if missing:
             raise Misconfigured(f"{' and '.join(missing)} not found; fix: as root, apt-get install --no-install-recommends "
-                                + " ".join(PACKAGES[name] for name in missing))
+                                + " ".join(dict.fromkeys(packages[name] for name in missing)))
         for name in ("axon-server", "axon"):
             if not (self.axon_programs / name).exists():
                 raise Misconfigured(f"{self.axon_programs / name} does not exist; expected it beside axon-cluster; fix: "
@@ -190,7 +247,8 @@ class Cluster:
         unlisted = [user for user, password in passwords.items() if not password or user not in listed]
         for user in unlisted:
             passwords[user] = passwords[user] or secrets.token_urlsafe(18)
-        wanted = configuration.files(plan, passwords)
+        wanted = configuration.files(plan, passwords, configuration.Place(
+            descriptor(), self.axon_programs, pwd.getpwuid(os.geteuid()).pw_name) if plan.grid else None)
         kept = {}
         for name, text in wanted.items():
             file = self.folder / name
@@ -206,7 +264,7 @@ class Cluster:
                 file.unlink()
         self.remember("cluster.json", {"plan": fields, "generated": kept,
                                        "certificates": self.remembered("cluster.json").get("certificates", {})})
-        if plan.tls:
+        if plan.tls or plan.grid:
             self.issue_certificates(plan)
         for user in unlisted:
             self.add_user(user, USERS[user], passwords[user])
@@ -237,100 +295,136 @@ class Cluster:
                          f"{(done.stderr or done.stdout).strip()}")
 
     def add_user(self, user, role, password):
-        done = subprocess.run([self.axon_programs / "axon-server", "--users", self.folder / "users.cfg", "--add-user", user,
-                               "--user-role", role], input=f"{password}\n", text=True, capture_output=True, check=False)
-        if done.returncode != 0:
-            raise Failed(f"axon-server --add-user {user} ended with {done.returncode}: {done.stderr.strip()}")
+        add_user(self.axon_programs, self.folder / "users.cfg", user, role, password)
 
     def up(self, wishes):
         """Starts what does not run, and returns when it can be used: [(program, "started" or "running")]."""
         plan = self.prepare(wishes)
         with self.locked():
             done = []
-            for wave in self.waves(configuration.programs(plan)):
+            all_of_them = configuration.programs(plan)
+            before = self.records()
+            of_node = [program for program in all_of_them if program.by_node]
+            self.refuse_orphans(of_node, before)
+            for program in of_node:  # before the node, which starts them as soon as it is there
+                if not processes.runs(before.get(program.name)):
+                    self.check_ports(program)
+            for wave in self.waves([program for program in all_of_them if not program.by_node]):
                 fresh = []
                 for program in wave:
                     if processes.runs(self.records().get(program.name)):
                         done.append((program, "running"))
                         continue
-                    self.start(plan, program)
+                    self.start(program)
                     fresh.append(program)
                     done.append((program, "started"))
                 for program in fresh:
                     self.wait_until_ready(plan, program)
-            self.wait_for_topics(plan)
-            self.wait_for_sessions(plan)
+            if of_node:
+                self.deploy()
+            for program in of_node:
+                self.wait_until_ready(plan, program, GRID_READY_S)
+                done.append((program, "running" if self.records().get(program.name) == before.get(program.name) else "started"))
+            seconds = GRID_READY_S if plan.grid else READY_S
+            self.wait_for_topics(plan, seconds)
+            self.wait_for_sessions(plan, seconds)
             return done
 
     @staticmethod
     def waves(programs):
         """Who needs whom: the topics, then the servers, then the routers before them."""
         def wave(program):
-            return 0 if program.name == "icestorm" else 2 if program.name.endswith("router") else 1
-        return [[program for program in programs if wave(program) == number] for number in range(3)]
+            return (0 if program.name == "icegridregistry" else 1 if program.name.startswith("ice") else
+                    3 if "-router" in program.name else 2)
+        return [[program for program in programs if wave(program) == number] for number in range(4)]
 
-    def start(self, plan, program):
+    def deploy(self):
+        self.progress.show("telling IceGrid what is to run")
+        try:
+            self.grid.deploy()
+        except probe.NoAnswer as error:
+            raise Failed(f"IceGrid did not accept {self.folder / 'icegrid.xml'}: {error}") from error
+        self.progress.show()
+
+    @staticmethod
+    def refuse_orphans(of_node, records):
+        orphans = [program.name for program in of_node if program.by_node and processes.runs(records.get(program.name))]
+        if orphans and not processes.runs(records.get("icegridnode")):
+            raise Misconfigured(f"icegridnode has ended, and its programs still run ({', '.join(orphans)}); a new one would not know "
+                                "them; fix: axon-cluster down, then axon-cluster up")
+
+    @staticmethod
+    def check_ports(program):
         for what, (host, port) in program.ports.items():
             if not free(host, port):
                 raise Misconfigured(
                     f"port {port} of {host} is taken by another program, and {program.name} needs it ({what}); fix: end that "
                     "program, or choose other ports with axon-cluster up --base-port P (0 = a free range)")
+
+    def start(self, program):
+        self.check_ports(program)
         command = [str(self.axon_programs / word) if word.startswith("axon-") else word for word in program.command]
         self.progress.show(f"starting {program.name}")
-        records = self.records()
+        records = self.remembered("running.json")
         records[program.name] = processes.start(command, self.log(program.name), self.folder, os.environ)
         self.remember("running.json", records)
 
     def wait_until_ready(self, plan, program, seconds=READY_S):
-        record = self.records()[program.name]
-        self.wait(lambda: self.ready(plan, program, record), f"{program.name} is ready", seconds, [program.name])
+        self.wait(lambda: self.ready(plan, program), f"{program.name} is ready", seconds, [program.name])
 
-    def ready(self, plan, program, record):
+    def ready(self, plan, program):
         """Raises probe.NoAnswer with what is still missing."""
-        if program.name == "icestorm":
-            probe.ping(*program.ports["topics"], "IceStorm/TopicManager", self.server_tls(plan))
-        elif program.name.endswith("router"):
+        its = self.records().get(program.name)
+        if not processes.runs(its):
+            raise probe.NoAnswer("it does not run")
+        if program.name == "icegridregistry":
+            probe.ping(*program.ports["locator"], f"{configuration.GRID_INSTANCE}/Locator", self.tls("icegridadmin.cfg"))
+        elif program.name == "icegridnode":
+            self.grid.node_is_up(configuration.NODE)
+        elif program.name.startswith("icestorm"):
+            probe.ping(*program.ports["topics"], "IceStorm/TopicManager", self.server_tls())
+        elif "-router" in program.name:
             host, port = next(iter(program.ports.values()))
-            certificate = "client.cfg" if program.name == "client-router" else "entitygl2client.cfg"
-            probe.Connection(host, port, self.tls(plan, certificate)).close()
-        elif not any(line.startswith("ready ") for line in processes.said(self.log(program.name), record).splitlines()):
+            certificate = "client.cfg" if program.name.startswith("client") else "entitygl2client.cfg"
+            probe.Connection(host, port, self.tls(certificate)).close()
+        elif not any(line.startswith("ready ") for line in processes.said(self.log(program.name), its).splitlines()):
             raise probe.NoAnswer("no line 'ready …' yet")
 
-    def wait_for_topics(self, plan, seconds=READY_S):
+    def wait_for_topics(self, plan, seconds):
         """Every server listens to the others: it is there, and IceStorm knows it."""
         programs = configuration.programs(plan)
-        at = next(program.ports["topics"] for program in programs if program.name == "icestorm")
+        at = next(program.ports["topics"] for program in programs if program.name.startswith("icestorm"))
 
         def joined():
             for topic, servers in (("FrontEndToEntity", plan.entity_servers), ("EntityToFrontEnd", plan.front_ends)):
-                found = len(probe.subscribers(*at, f"{topic}-{probe.CONTRACT}", self.server_tls(plan)))
+                found = len(probe.subscribers(*at, f"{topic}-{probe.CONTRACT}", self.server_tls()))
                 if found < servers:
                     raise probe.NoAnswer(f"{found} of {servers} servers listen to {topic}")
-        self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs[:-2]])
+        self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs if "-router" not in program.name])
 
-    def wait_for_sessions(self, plan, seconds=READY_S):
+    def wait_for_sessions(self, plan, seconds):
         """What counts: somebody who knows nothing but client.cfg or entitygl2client.cfg gets a session."""
         def log_in(file):
-            router, _, endpoint = self.told(file, "Ice.Default.Router").partition(":")
-            words = endpoint.split()
-            probe.make_session(words[words.index("-h") + 1], int(words[words.index("-p") + 1]), router,
-                               self.told(file, "Axon.User"), self.told(file, "Axon.Password"), self.tls(plan, file))
+            router, *endpoints = re.split(r":(?=tcp |ssl )", self.told(file, "Ice.Default.Router"))
+            for words in map(str.split, endpoints):
+                probe.make_session(words[words.index("-h") + 1], int(words[words.index("-p") + 1]), router,
+                                   self.told(file, "Axon.User"), self.told(file, "Axon.Password"), self.tls(file))
 
         names = [program.name for program in configuration.programs(plan)]
-        self.wait(lambda: log_in("entitygl2client.cfg"), "an Entity Manager gets a session through the entity router",
+        self.wait(lambda: log_in("entitygl2client.cfg"), "an Entity Manager gets a session through each entity router",
                   seconds, names)
-        self.wait(lambda: log_in("client.cfg"), "a client gets a session through the client router", seconds, names)
+        self.wait(lambda: log_in("client.cfg"), "a client gets a session through each client router", seconds, names)
         self.progress.show("axon ls")
         self.run_axon("--config", self.folder / "client.cfg", "ls")
         self.progress.show()
 
-    def server_tls(self, plan):
+    def server_tls(self):
         """What a server shows to IceStorm, which answers nobody else."""
-        return self.tls(plan, "frontendserver-1.cfg")
+        return self.tls("frontendserver-1.cfg")
 
-    def tls(self, plan, file="client.cfg"):
-        """What a connection needs of the certificates that `file` names; None for plain TCP."""
-        if not plan.tls:
+    def tls(self, file="client.cfg"):
+        """What a connection needs of the certificates that `file` names; None where it names none, for plain TCP."""
+        if self.told(file, "IceSSL.DefaultDir") is None:
             return None
         folder = pathlib.Path(self.told(file, "IceSSL.DefaultDir"))
         context = ssl.create_default_context(cafile=folder / self.told(file, "IceSSL.CAs"))
@@ -338,12 +432,14 @@ class Cluster:
         return context
 
     def wait(self, asks, what, seconds, names):
-        """Until `asks` raises NoAnswer no more; a program of `names` that ends meanwhile ends the waiting."""
+        """Until `asks` raises NoAnswer no more; a program of `names` that ends meanwhile, and that no node starts again, ends
+        the waiting."""
         self.progress.show(f"waiting: {what}")
         records = self.records()
+        by_node = {program.name for program in configuration.programs(self.plan()) if program.by_node}
         end = time.monotonic() + seconds
         while True:
-            ended = [name for name in names if not processes.runs(records.get(name))]
+            ended = [name for name in names if name not in by_node and not processes.runs(records.get(name))]
             try:
                 asks()
                 self.progress.show()
@@ -367,12 +463,12 @@ class Cluster:
         records = self.records()
         found = []
         for program in configuration.programs(plan):
-            record = records.get(program.name)
-            runs = processes.runs(record)
-            found.append({"name": program.name, "role": program.role, "pid": record["pid"] if runs else None,
-                          "state": "running" if runs else "ended" if record else "not started",
+            its = records.get(program.name)
+            runs = processes.runs(its)
+            found.append({"name": program.name, "role": program.role, "pid": its["pid"] if runs else None,
+                          "state": "running" if runs else "ended" if its else "not started",
                           "ports": {what: f"{host}:{port}" for what, (host, port) in program.ports.items()},
-                          "since": record["since"] if runs else None, "log": str(self.log(program.name))})
+                          "since": its["since"] if runs else None, "log": str(self.log(program.name))})
         return {"folder": str(self.folder), "client_config": str(self.folder / "client.cfg"),
                 "entity_config": str(self.folder / "entitygl2client.cfg"), "users": str(self.folder / "users.cfg"),
                 "tls": bool(plan.tls), "programs": found}
@@ -381,28 +477,55 @@ class Cluster:
         """kill -9; whether it ran."""
         self.program(name)
         with self.locked():
-            return self.strike(name, lambda record: processes.strike(record, 9, 5.0))
+            return self.strike(name, lambda its: processes.strike(its, 9, 5.0))
 
     def restart(self, name):
         program = self.program(name)
         plan = self.plan()
         with self.locked():
-            self.strike(name, processes.end)
-            self.start(plan, program)
-            self.wait_until_ready(plan, program)
+            if program.by_node:
+                self.restart_by_node(name)
+            else:
+                if name == "icegridnode":
+                    self.refuse_orphans(configuration.programs(plan), self.records())
+                self.strike(name, self.end)
+                self.start(program)
+            self.wait_until_ready(plan, program, GRID_READY_S if program.by_node else READY_S)
+
+    def restart_by_node(self, name):
+        before = self.records().get(name)
+        try:
+            self.grid.stop(name)
+        except probe.NoAnswer as error:
+            if processes.runs(before):
+                raise Failed(f"IceGrid does not end {name}: {error}; fix: axon-cluster up starts what is missing of IceGrid") from error
+
+        def another():
+            if self.records().get(name) == before:
+                raise probe.NoAnswer("its node has not started it again yet")
+        self.wait(another, f"{name} is started again by its node", GRID_READY_S, [name, "icegridnode"])
 
     def down(self):
         """Ends all, the last one started first; the names of those that ran."""
         names = [program.name for program in configuration.programs(self.plan())]
         with self.locked():
-            return [name for name in reversed(names) if self.strike(name, processes.end)]
+            before = self.records()
+            running = [name for name in reversed(names) if processes.runs(before.get(name))]
+            # First the node, which ends its programs, and would start again what is ended without it.
+            for name in sorted(reversed(names), key=lambda name: name != "icegridnode"):
+                self.strike(name, self.end)
+            return running
+
+    @staticmethod
+    def end(its):
+        return processes.end(its, NODE_ENDS_S)
 
     def strike(self, name, how):
-        record = self.records().get(name)
-        if not processes.runs(record):
+        its = self.records().get(name)
+        if not processes.runs(its):
             return False
         self.progress.show(f"ending {name}")
-        if not how(record):
-            raise Failed(f"{name} (process {record['pid']}) does not end")
+        if not how(its):
+            raise Failed(f"{name} (process {its['pid']}) does not end")
         self.progress.show()
         return True

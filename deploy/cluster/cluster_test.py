@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """axon-cluster without a cluster: what it writes, what it refuses, and that it never strikes a stranger."""
 import contextlib
+import dataclasses
 import importlib.util
 import io
 import os
@@ -16,12 +17,14 @@ import tempfile
 import threading
 import unittest
 from unittest import mock
+from xml.etree import ElementTree
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 sys.dont_write_bytecode = True
 import cluster  # noqa: E402
 import configuration  # noqa: E402
+import hosts  # noqa: E402
 import probe  # noqa: E402
 import processes  # noqa: E402
 from configuration import Misconfigured, Plan  # noqa: E402
@@ -56,10 +59,26 @@ class Configuration(unittest.TestCase):
             self.assertEqual(len(keys), len(set(keys)), name)
 
     def test_no_port_is_given_twice_in_the_largest_cluster(self):
-        plan = Plan(pathlib.Path("/folder"), front_ends=9, entity_servers=9)
+        plan = Plan(pathlib.Path("/folder"), front_ends=9, entity_servers=9, routers=2)
         ports = [port for program in configuration.programs(plan) for _, port in program.ports.values()]
         self.assertEqual(len(ports), len(set(ports)))
         self.assertLess(max(ports), plan.base_port + 200)
+
+    def test_of_several_routers_everybody_is_told_all_and_each_has_ports_of_its_own(self):
+        plan = dataclasses.replace(self.plan, routers=2)
+        files = configuration.files(plan, PASSWORDS)
+        self.assertEqual(sorted(files.keys() - self.files.keys()), ["glacier2clients-2.cfg", "glacier2entities-2.cfg"])
+        for file, router, whom in (("client.cfg", "client-router", "clients"), ("entitygl2client.cfg", "entity-router", "entities")):
+            _, first, second = configuration.read_property(files[file], "Ice.Default.Router").split(":")
+            for name, endpoint in ((router, first), (f"{router}2", second)):
+                own = files[configuration.router_file(name)]
+                self.assertEqual(configuration.read_property(own, "Glacier2.Client.Endpoints"), endpoint)
+                self.assertTrue(endpoint.endswith(f"-p {plan.port(name, whom)}"))
+                self.assertTrue(configuration.read_property(own, "Glacier2.Server.Endpoints").endswith(f"-p {plan.port(name, 'callbacks')}"))
+        one, other = files["glacier2clients.cfg"], files["glacier2clients-2.cfg"]
+        self.assertEqual(configuration.read_property(one, "Glacier2.SessionManager"), configuration.read_property(other, "Glacier2.SessionManager"))
+        with self.assertRaisesRegex(Misconfigured, "--routers 3: expected 1 to 2"):
+            dataclasses.replace(plan, routers=3).check()
 
     def test_each_router_knows_all_servers_of_its_kind_and_nothing_else_behind_it(self):
         for file, servers in (("glacier2clients.cfg", ("fe1", "fe2")), ("glacier2entities.cfg", ("es1", "es2", "es3"))):
@@ -131,6 +150,220 @@ class Configuration(unittest.TestCase):
             with self.assertRaises(Misconfigured, msg=wish) as raised:
                 Plan(**{"folder": pathlib.Path("/folder"), **wish}).check()
             self.assertIn(said, str(raised.exception))
+
+
+PLACE = configuration.Place(cluster.descriptor(), pathlib.Path("/opt/axon/bin"), "axon")
+
+
+class OfIceGrid(unittest.TestCase):
+    """What is written for axon-cluster up --grid."""
+
+    def setUp(self):
+        self.plan = Plan(pathlib.Path("/folder"), front_ends=2, entity_servers=3, routers=2, grid=True)
+        self.files = configuration.files(self.plan, PASSWORDS, PLACE)
+        self.application = ElementTree.fromstring(self.files["icegrid.xml"]).find("application")
+
+    def servers(self):
+        """{name: (attributes, words)} as IceGrid reads the descriptor."""
+        templates = {one.get("id"): one for one in self.application.iter("server-template")}
+        node = self.application.find("node")
+        variables = {one.get("name"): one.get("value") for one in node.iter("variable")}
+        found = {}
+        for instance in node.iter("server-instance"):
+            template = templates[instance.get("template")]
+            values = {**variables, **{one.get("name"): instance.get(one.get("name"), one.get("default")) for one in template.iter("parameter")}}
+
+            def filled(text, its=values):
+                return re.sub(r"\$\{(\w+)\}", lambda name: its[name[1]], text)
+            server = template.find("server")
+            attributes = {key: filled(value) for key, value in server.attrib.items()}
+            found[attributes["id"]] = (attributes, [filled(option.text) for option in server.iter("option")])
+        return found
+
+    def test_the_descriptor_starts_every_program_as_it_is_started_without_icegrid(self):
+        servers = self.servers()
+        programs = [program for program in configuration.programs(self.plan) if program.by_node]
+        self.assertEqual(sorted(servers), sorted(program.name for program in programs))
+        for program in programs:
+            attributes, words = servers[program.name]
+            command = " ".join(f"/opt/axon/bin/{word}" if word.startswith("axon-") else word for word in program.command)
+            self.assertEqual(words, ["start.sh", program.name, command])
+            self.assertEqual((attributes["exe"], attributes["pwd"], attributes["user"]), ("/bin/sh", "/folder", "axon"))
+            self.assertEqual([word for word in program.command if word.endswith(".cfg") and word.rpartition("=")[2] not in self.files], [])
+
+    def test_no_program_waits_until_somebody_asks_for_it(self):
+        for server in self.application.iter("server"):
+            self.assertEqual(server.get("activation"), "always", server.get("id"))
+
+    def test_icegrid_speaks_tls_on_loopback_to_icegrid_only_also_where_the_cluster_does_not(self):
+        for file in ("icegridregistry.cfg", "icegridnode.cfg", "icegridadmin.cfg"):
+            for key, value in properties(self.files[file]):
+                if key.endswith("Endpoints"):
+                    self.assertRegex(value, "^ssl -h 127.0.0.1 -p [0-9]+$", f"{file} {key}")
+            self.assertEqual(configuration.read_property(self.files[file], "IceSSL.TrustOnly"), "OU=registry,O=Axon")
+            self.assertEqual(configuration.read_property(self.files[file], "IceSSL.VerifyPeer"), "2")
+            self.assertEqual(configuration.read_property(self.files[file], "IceSSL.CertFile"), "registry-127.0.0.1.cert.pem")
+        self.assertEqual(set(configuration.certificates(self.plan)), {"icegridregistry", "icegridnode"})
+
+    def test_servers_may_reach_any_replica_of_icestorm_and_replicas_reach_each_other(self):
+        for file in ("frontendserver-1.cfg", "entityserver-3.cfg"):
+            manager = configuration.read_property(self.files[file], "Server.TopicManager")
+            for name in self.plan.storm_names():
+                self.assertIn(f"-p {self.plan.port(name, 'topics')}", manager)
+        for number in range(1, 4):
+            text = self.files[f"icestorm-{number}.cfg"]
+            self.assertEqual(configuration.read_property(text, "IceStorm.NodeId"), str(number))
+            self.assertIsNone(configuration.read_property(text, "IceStorm.Transient"), "which replicas cannot be")
+            self.assertEqual(configuration.read_property(text, f"IceStorm.Nodes.{number}"),
+                             f"IceStorm/node{number}:{configuration.read_property(text, 'IceStorm.Node.Endpoints')}")
+            self.assertEqual(text.count("\nIceStorm.Nodes."), 3)
+
+    def test_with_tls_a_replica_admits_servers_and_replicas(self):
+        plan = Plan(pathlib.Path("/folder"), grid=True, tls=True)
+        text = configuration.files(plan, PASSWORDS, PLACE)["icestorm-2.cfg"]
+        for side in ("Server", "Client"):
+            self.assertEqual(configuration.read_property(text, f"IceSSL.TrustOnly.{side}"),
+                             "OU=front-end,O=Axon;OU=entity-server,O=Axon;OU=storm,O=Axon")
+
+    def test_no_port_is_given_twice_in_the_largest_cluster(self):
+        plan = Plan(pathlib.Path("/folder"), front_ends=9, entity_servers=9, grid=True)
+        ports = [port for program in configuration.programs(plan) for _, port in program.ports.values()]
+        self.assertEqual(len(ports), len(set(ports)))
+        self.assertLess(max(ports), plan.base_port + 200)
+
+    def test_every_property_is_said_once(self):
+        for name, text in self.files.items():
+            if name.endswith(".cfg"):
+                keys = [pair[0] for pair in properties(text)]
+                self.assertEqual(len(keys), len(set(keys)), name)
+
+    def test_who_may_run_programs_as_root_is_root_only(self):
+        key = "IceGrid.Node.AllowRunningServersAsRoot"
+        self.assertIsNone(configuration.read_property(self.files["icegridnode.cfg"], key))
+        root = configuration.files(self.plan, PASSWORDS, dataclasses.replace(PLACE, user="root"))
+        self.assertEqual(configuration.read_property(root["icegridnode.cfg"], key), "1")
+
+    def test_names_are_quoted_for_xml_and_blanks_are_refused(self):
+        odd = dataclasses.replace(PLACE, programs=pathlib.Path('/a&"<b'))
+        text = configuration.files(self.plan, PASSWORDS, odd)["icegrid.xml"]
+        values = [one.get("value") for one in ElementTree.fromstring(text).iter("variable")]
+        self.assertIn('/a&"<b', values)
+        with self.assertRaisesRegex(Misconfigured, "without blanks"):
+            configuration.files(self.plan, PASSWORDS, dataclasses.replace(PLACE, programs=pathlib.Path("/a b")))
+        with self.assertRaisesRegex(Misconfigured, "install axon-cluster again"):
+            configuration.files(self.plan, PASSWORDS, dataclasses.replace(PLACE, descriptor="<icegrid/>"))
+
+
+HOSTS = """\
+# two rooms
+lab.example:  icegridregistry icestorm1 icestorm2 fe1 fe2 client-router   # the server room
+
+hall.example: icestorm3 es1 entity-router
+"""
+
+
+class SeveralMachines(unittest.TestCase):
+    """What axon-cluster configure reads and writes."""
+
+    def setUp(self):
+        self.plan = hosts.read(HOSTS, "hosts.txt")
+        self.files = hosts.files(self.plan, PASSWORDS, "the users\n", PLACE)
+
+    def value(self, file, key):
+        return configuration.read_property(self.files[file], key)
+
+    def test_each_machine_gets_the_files_of_its_programs_and_no_others(self):
+        self.assertEqual(sorted(name for name in self.files if name.startswith("hall.example/")), sorted(f"hall.example/{name}" for name in (
+            "icegridnode.cfg", "start.sh", "icebox-3.cfg", "icestorm-3.cfg", "entityserver-1.cfg", "glacier2entities.cfg", "users.cfg")))
+        self.assertIn("lab.example/icegridregistry.cfg", self.files)
+        self.assertEqual(sorted(name for name in self.files if "/" not in name or name.startswith(hosts.PEOPLE)),
+                         ["certificates.sh", f"{hosts.PEOPLE}/client.cfg", f"{hosts.PEOPLE}/entitygl2client.cfg"])
+        for machine in ("lab.example", "hall.example"):
+            self.assertEqual(self.files[f"{machine}/users.cfg"], "the users\n")
+            self.assertIn(f"{machine}/db/icegridnode", hosts.folders(self.plan))
+        self.assertIn("hall.example/db/icestorm3", hosts.folders(self.plan))
+        self.assertNotIn("lab.example/db/icestorm3", hosts.folders(self.plan))
+
+    def test_every_link_is_under_tls_and_goes_to_the_machine_of_the_program(self):
+        for name, text in self.files.items():
+            if name.endswith(".cfg") and not name.endswith("users.cfg"):
+                for key, value in properties(text):
+                    self.assertNotIn("tcp -h", value, f"{name} {key}")
+                    self.assertNotIn("127.0.0.1", value, f"{name} {key}")
+        self.assertEqual(self.value("hall.example/entityserver-1.cfg", "Server.TopicManager").count("-h lab.example"), 2)
+        self.assertEqual(self.value("hall.example/icegridnode.cfg", "IceGrid.Node.Name"), "hall.example")
+        self.assertIn("ssl -h hall.example", self.value("hall.example/icegridnode.cfg", "IceGrid.Node.Endpoints"))
+        self.assertIn("/Locator:ssl -h lab.example", self.value("hall.example/icegridnode.cfg", "Ice.Default.Locator"))
+        self.assertIn("ssl -h hall.example", self.value(f"{hosts.PEOPLE}/entitygl2client.cfg", "Ice.Default.Router"))
+        self.assertIn("ssl -h lab.example", self.value(f"{hosts.PEOPLE}/client.cfg", "Ice.Default.Router"))
+
+    def test_every_certificate_that_a_file_names_is_issued_for_its_machine_and_given_to_it(self):
+        orders = [line.split() for line in self.files["certificates.sh"].splitlines()]
+        issued = {words[1]: words[2:] for words in orders if words[:1] == ["issue"] and len(words) > 2}
+        given = {(words[1], words[2]) for words in orders if words[:1] == ["give"] and len(words) == 3}
+        self.assertEqual(issued["front-end-fe2"], ["--front-end", "fe2", "lab.example"])
+        self.assertEqual(issued["registry-hall.example"], ["--registry", "hall.example"])
+        wanted = set()
+        for name in self.files:
+            if name.endswith(".cfg") and (file := self.value(name, "IceSSL.CertFile")):
+                wanted.add((name.partition("/")[0], file.removesuffix(".cert.pem")))
+        self.assertEqual(given, wanted)
+        self.assertEqual({stem for _, stem in given}, set(issued))
+
+    def test_each_node_starts_what_the_file_says(self):
+        application = ElementTree.fromstring(self.files["lab.example/icegrid.xml"]).find("application")
+        self.assertEqual({node.get("name"): [(one.get("template"), one.get("number")) for one in node.iter("server-instance")]
+                          for node in application.iter("node")},
+                         {"lab.example": [("IceStorm", "1"), ("IceStorm", "2"), ("FrontEndServer", "1"), ("FrontEndServer", "2"),
+                                          ("ClientRouter", None)],
+                          "hall.example": [("IceStorm", "3"), ("EntityServer", "1"), ("EntityRouter", None)]})
+
+    def test_the_units_of_systemd_have_the_folder_and_the_user_that_is_written_for(self):
+        for name in ("registry", "node"):
+            unit = (HERE.parent / f"systemd/axon-icegrid{name}.service").read_text(encoding="utf-8")
+            self.assertIn(f"ExecStart=/usr/bin/icegrid{name} --Ice.Config={hosts.FOLDER}/icegrid{name}.cfg\n", unit)
+            self.assertIn(f"StateDirectory={hosts.FOLDER.name}\n", unit)
+            self.assertIn(f"User={hosts.ACCOUNT}\n", unit)
+
+    def test_bad_lines_are_refused_with_their_number_and_the_fix(self):
+        good = HOSTS.splitlines()
+        for number, line, said in (
+                (2, "lab.example icegridregistry", "expected MACHINE: PROGRAM"), (2, ": fe1", "no name or IPv4 address"),
+                (2, "0.0.0.0: fe1", "no name or IPv4 address"), (2, "::1: fe1", "no name or IPv4 address"), (2, "-lab: fe1", "no name"),
+                (2, "lab..example: fe1", "no name"), (2, "1.2.3: fe1", "no name"), (2, "1.2.3.256: fe1", "no name"),
+                (2, "lab_1: fe1", "no name"), (2, f"{'x' * 60}.{'y' * 5}: fe1", "no name"),
+                (2, "a b: fe1", "no name"), (2, "../x: fe1", "no name"), (2, "x" * 999 + ": fe1", "no name"),
+                (4, "LAB.example: es1", "is also in line 2"), (4, "hall.example:", "nothing runs on hall.example"),
+                (4, "hall.example: es0", "no program 'es0'"), (4, "hall.example: es10", "no program 'es10'"),
+                (4, "hall.example: icestorm", "no program 'icestorm'"), (4, "hall.example: es1,fe3", "no program"),
+                (4, "hall.example: icestorm3 es1 entity-router fe1", "fe1 runs on lab.example already (line 2)"),
+                (4, "hall.example: icestorm3 icestorm4 es1 entity-router", "icestorm4: expected icestorm1 to icestorm3"),
+                (4, "hall.example: \x1b[2J", "no program '?[2J'")):
+            lines = [*good]
+            lines[number - 1] = line
+            with self.assertRaises(Misconfigured, msg=line) as raised:
+                hosts.read("\n".join(lines), "hosts.txt")
+            self.assertTrue(str(raised.exception).startswith(f"hosts.txt:{number}: "), raised.exception)
+            self.assertIn(said, str(raised.exception))
+            self.assertIn("; fix: ", str(raised.exception))
+            self.assertLess(len(str(raised.exception)), 500)
+
+    def test_what_is_missing_is_named(self):
+        for text, said in (("", "no machine runs icegridregistry"), (HOSTS.replace("client-router", ""), "no machine runs client-router"),
+                           (HOSTS.replace("icestorm3", ""), "no machine runs icestorm3"), (HOSTS.replace("es1", ""), "no machine runs es1"),
+                           (HOSTS.replace("fe1", ""), "no machine runs fe1; expected fe1 to fe2"), ("#" * 70000, "at most 65536")):
+            with self.assertRaises(Misconfigured, msg=said) as raised:
+                hosts.read(text, "hosts.txt")
+            self.assertIn(said, str(raised.exception))
+            self.assertIn("; fix: ", str(raised.exception))
+
+    def test_other_ports_and_folders_are_those_of_every_file(self):
+        plan = hosts.read(HOSTS, "hosts.txt", "/srv/axon", 20000)
+        files = hosts.files(plan, PASSWORDS, "", PLACE)
+        self.assertIn("-p 20002", configuration.read_property(files[f"{hosts.PEOPLE}/client.cfg"], "Ice.Default.Router"))
+        self.assertEqual([name for name, text in files.items() if "/var/lib" in text], [])
+        with self.assertRaisesRegex(Misconfigured, "1024"):
+            hosts.read(HOSTS, "hosts.txt", base_port=0)
 
 
 class Folder(unittest.TestCase):
@@ -241,6 +474,97 @@ class Folder(unittest.TestCase):
         self.assertEqual(code, 2, said)
         self.assertIn("zeroc-glacier2", said)
         self.assertNotIn("zeroc-icebox", said)
+
+    def test_the_missing_packages_of_icegrid_are_named_where_it_is_wanted(self):
+        with mock.patch.dict(os.environ, {"PATH": str(self.root)}):
+            code, said = self.run_command("up", "--grid")
+        self.assertEqual(code, 2, said)
+        self.assertIn("zeroc-icegrid zeroc-ice-utils", said)
+
+    def grid(self):
+        """A folder for IceGrid, whose programs are scripts that do nothing."""
+        for name in ("icegridregistry", "icegridnode", "icegridadmin"):
+            self.script(name, "exit 1")
+        return self.cluster.prepare({"base_port": 0, "grid": True})
+
+    def test_a_program_of_the_node_is_found_by_what_it_has_written_down(self):
+        self.grid()
+        (self.folder / "log/es1.log").write_text("of an earlier start\n")
+        child = subprocess.Popen(["sh", "start.sh", "es1", "cat /dev/stdin", "--Ice.Config=/somewhere"], cwd=self.folder,
+                                 stdin=subprocess.PIPE, text=True)
+        self.addCleanup(child.wait)
+        self.addCleanup(child.stdin.close)
+        while not processes.runs(self.cluster.records().get("es1")):
+            self.assertIsNone(child.poll())
+        its = self.cluster.records()["es1"]
+        self.assertEqual((its["pid"], its["ticks"]), (child.pid, processes.start_ticks(child.pid)))
+        child.stdin.write("ready\n")
+        child.stdin.flush()
+        while not processes.said(self.cluster.log("es1"), its):
+            self.assertIsNone(child.poll())
+        self.assertEqual(processes.said(self.cluster.log("es1"), its), "ready\n")
+
+    def test_programs_whose_node_has_ended_are_not_started_twice_and_can_be_ended(self):
+        self.grid()
+        child = subprocess.Popen(["sh", "start.sh", "es1", "sleep 60"], cwd=self.folder)
+        self.addCleanup(child.wait)
+        self.addCleanup(child.kill)
+        while not processes.runs(self.cluster.records().get("es1")):
+            self.assertIsNone(child.poll())
+        code, said = self.run_command("up")
+        self.assertEqual(code, 2, said)
+        self.assertIn("its programs still run (es1)", said)
+        code, said = self.run_command("restart", "icegridnode")
+        self.assertEqual(code, 2, said)
+        self.assertIn("its programs still run (es1)", said)
+        code, said = self.run_command("down")
+        self.assertEqual((code, said), (0, "ended: es1\n"))
+        self.assertFalse(processes.runs(self.cluster.records().get("es1")))
+
+    def test_what_is_half_written_down_is_no_process(self):
+        self.grid()
+        for text in ("", "12 (sh) S 1", "12\nboot\n0\n", "x (sh) S" + " 1" * 40 + "\nboot\nten\n"):
+            (self.folder / "run/es1").write_text(text)
+            self.assertIsNone(self.cluster.records().get("es1"), text)
+
+    def test_an_icegrid_that_refuses_the_application_is_quoted(self):
+        self.grid()
+        self.script("icegridadmin", "echo 'error: the moon is full' >&2; exit 1")
+        with self.assertRaisesRegex(cluster.Failed, "icegrid.xml.*the moon is full"):
+            self.cluster.deploy()
+
+    def test_the_folders_of_several_machines_are_written_once_and_for_the_owner_only(self):
+        file, target = self.root / "hosts.txt", self.root / "out"
+
+        def configure(*more):
+            said = io.StringIO()
+            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+                code = COMMAND.main(["configure", "--hosts", str(file), "--to", str(target), "--programs", str(self.root), *more])
+            return code, said.getvalue()
+
+        code, said = configure()
+        self.assertEqual(code, 2)
+        self.assertIn("hosts.txt", said)
+        file.write_bytes(b"\xff\xfe")
+        self.assertEqual(configure()[0], 2)
+        file.write_text("lab.example: es1 es1\n")
+        code, said = configure()
+        self.assertEqual(code, 2)
+        self.assertIn("hosts.txt:1: es1 runs on", said)
+        self.assertFalse(target.exists(), "nothing is written for a wrong file")
+        file.write_text(HOSTS)
+        code, said = configure("--user", "somebody")
+        self.assertEqual(code, 0, said)
+        self.assertIn("systemctl enable --now axon-icegridnode", said)
+        for path in target.rglob("*"):
+            self.assertEqual(path.stat().st_mode & 0o077, 0, path)
+        self.assertEqual(sorted(path.name for path in target.iterdir()),
+                         ["certificates.sh", hosts.PEOPLE, "hall.example", "lab.example"])
+        self.assertEqual([line.split()[0] for line in (target / "lab.example/users.cfg").read_text().splitlines()], ["admin", "entity"])
+        self.assertIn('name="user" value="somebody"', (target / "lab.example/icegrid.xml").read_text())
+        code, said = configure()
+        self.assertEqual(code, 2)
+        self.assertIn("not an empty folder", said)
 
     def test_wrong_words_are_refused(self):
         self.assertEqual(self.run_command("up", "--front-ends", "many")[0], 2)

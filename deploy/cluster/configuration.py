@@ -6,12 +6,17 @@ people: what is generated on one machine is what one edits for several (docs/how
 """
 import dataclasses
 import pathlib
+from xml.sax.saxutils import quoteattr
 
 SERVERS_MAX = 9
+ROUTERS_MAX = 2
 PORTS_FROM, PORTS_TO = 1024, 65535 - 200
 BASE_PORT = 10420
 LOOPBACK = "127.0.0.1"
 ADMIN, ENTITY = "admin", "entity"
+STORM_REPLICAS = 3  # as few as have a majority without one of them
+NODE = "node1"  # of IceGrid, where there is one
+REGISTRY_PORTS = ("locator", "servers", "nodes")
 
 
 class Misconfigured(Exception):
@@ -24,14 +29,18 @@ class Plan:
     folder: pathlib.Path
     front_ends: int = 1
     entity_servers: int = 1
+    routers: int = 1  # for clients, and as many for entities
     base_port: int = BASE_PORT
     listen: str = LOOPBACK  # where the two routers listen; everything else is on loopback
     tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
+    grid: bool | None = None  # IceGrid starts the programs, and there are several IceStorms
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
             if not 1 <= value <= SERVERS_MAX:
                 raise Misconfigured(f"{option} {value}: expected 1 to {SERVERS_MAX}")
+        if not 1 <= self.routers <= ROUTERS_MAX:
+            raise Misconfigured(f"--routers {self.routers}: expected 1 to {ROUTERS_MAX}")
         if not PORTS_FROM <= self.base_port <= PORTS_TO:
             raise Misconfigured(f"--base-port {self.base_port}: expected {PORTS_FROM} to {PORTS_TO} "
                                 "(200 ports from there on are used); fix: choose such a port, or 0 for a free range")
@@ -51,10 +60,16 @@ class Plan:
         """0 … 9 of each program: the first of a server's are those that embedded servers have, in that order."""
         if program == "icestorm":
             return self.base_port + {"topics": 0, "publish": 1}[which]
-        if program == "client-router":
-            return self.base_port + {"clients": 2, "callbacks": 3}[which]
-        if program == "entity-router":
-            return self.base_port + {"entities": 4, "callbacks": 5}[which]
+        if program.startswith("icestorm"):
+            return self.base_port + 92 + 3 * int(program[8:]) + {"topics": 0, "publish": 1, "replicas": 2}[which]
+        if program == "icegridregistry":
+            return self.base_port + 6 + REGISTRY_PORTS.index(which)
+        if program.startswith("icegridnode"):
+            return self.base_port + {"registry": 9}[which]
+        whom, router, number = program.partition("-router")
+        if router:
+            first = {"client": 2, "entity": 4}[whom] + (102 if number else 0)
+            return self.base_port + first + {"clients": 0, "entities": 0, "callbacks": 1}[which]
         first = 0 if program.startswith("fe") else 100
         return self.base_port + first + 10 * int(program[2:]) + {
             "data": 0, "signal": 1, "router": 2, "topics": 3, "servers": 4}[which]
@@ -65,6 +80,27 @@ class Plan:
     def entity_server_names(self):
         return [f"es{n}" for n in range(1, self.entity_servers + 1)]
 
+    def router_names(self, whom):
+        return [f"{whom}-router", *(f"{whom}-router{n}" for n in range(2, self.routers + 1))]
+
+    def storm_names(self):
+        return [f"icestorm{n}" for n in range(1, STORM_REPLICAS + 1)] if self.grid else ["icestorm"]
+
+    def host(self, _program):
+        """Where the other programs reach it."""
+        return LOOPBACK
+
+    def public_host(self, _router):
+        """Where clients or entities reach it."""
+        return self.listen
+
+    def node_programs(self):
+        return ["icegridnode"]
+
+    def nodes(self):
+        """{node of IceGrid: the programs that it starts}."""
+        return {NODE: [program.name for program in programs(self)]}
+
 
 @dataclasses.dataclass(frozen=True)
 class Program:
@@ -72,25 +108,51 @@ class Program:
     role: str  # for people
     command: tuple  # of words; the folder is the working directory
     ports: dict  # what for -> (host, port)
+    by_node: bool = False  # IceGrid's node starts it, and starts it again
 
 
 def programs(plan):
     """In the order of starting; `down` ends them in the reverse one."""
-    def at(name, *which, host=LOOPBACK):
-        return {one: (host, plan.port(name, one)) for one in which}
+    def at(name, *which):
+        return {one: (plan.host(name), plan.port(name, one)) for one in which}
 
-    found = [Program("icestorm", "IceStorm, the topics between the servers",
-                     ("icebox", "--Ice.Config=icebox.cfg"), at("icestorm", "topics", "publish"))]
+    found = []
+    if plan.grid:
+        found += [Program("icegridregistry", "IceGrid's registry, which programs there are and where",
+                          ("icegridregistry", "--Ice.Config=icegridregistry.cfg"), at("icegridregistry", *REGISTRY_PORTS))]
+        found += [Program(name, "IceGrid's node, which starts the other programs", ("icegridnode", "--Ice.Config=icegridnode.cfg"),
+                          at(name, "registry")) for name in plan.node_programs()]
+    for number, name in enumerate(plan.storm_names(), 1):
+        found.append(Program(name, "IceStorm, the topics between the servers",
+                             ("icebox", f"--Ice.Config={box_file(plan, number)}"),
+                             at(name, "topics", "publish", *["replicas"] * bool(plan.grid)), bool(plan.grid)))
     for number, name in enumerate(plan.entity_server_names(), 1):
         found.append(Program(name, "entity server", ("axon-server", "--role", "entity", "--config",
-                                                      f"entityserver-{number}.cfg"), at(name, *SERVER_PORTS)))
+                                                      f"entityserver-{number}.cfg"), at(name, *SERVER_PORTS), bool(plan.grid)))
     for number, name in enumerate(plan.front_end_names(), 1):
         found.append(Program(name, "front-end server", ("axon-server", "--role", "front-end", "--config",
-                                                         f"frontendserver-{number}.cfg"), at(name, *SERVER_PORTS)))
-    for name, whom, file in (("entity-router", "entities", "glacier2entities.cfg"),
-                             ("client-router", "clients", "glacier2clients.cfg")):
-        found.append(Program(name, f"Glacier2 for {whom}", ("glacier2router", f"--Ice.Config={file}"),
-                             {**at(name, whom, host=plan.listen), **at(name, "callbacks")}))
+                                                         f"frontendserver-{number}.cfg"), at(name, *SERVER_PORTS), bool(plan.grid)))
+    for one in ("entity", "client"):
+        whom = WHOM[one]
+        for name in plan.router_names(one):
+            found.append(Program(name, f"Glacier2 for {whom}", ("glacier2router", f"--Ice.Config={router_file(name)}"),
+                                 {whom: (plan.public_host(name), plan.port(name, whom)), **at(name, "callbacks")}, bool(plan.grid)))
+    return found
+
+
+def router_file(name):
+    whom, _, number = name.partition("-router")
+    return f"glacier2{WHOM[whom]}{f'-{number}' if number else ''}.cfg"
+
+
+WHOM = {"client": "clients", "entity": "entities"}  # of a router
+
+
+def folders(plan, names):
+    """Of these programs, below the cluster's own, each after that in which it lies."""
+    found = ["log", "globalservices"]
+    if plan.grid:
+        found += ["run", "db", *(f"db/{name.partition('@')[0]}" for name in names if name.startswith("ice"))]
     return found
 
 
@@ -102,22 +164,58 @@ def protocol(plan):
 
 
 def inner(plan, program, which):
-    return f"{protocol(plan)} -h {LOOPBACK} -p {plan.port(program, which)}"
+    return f"{protocol(plan)} -h {plan.host(program)} -p {plan.port(program, which)}"
+
+
+def topic_manager(plan):
+    return "IceStorm/TopicManager:" + ":".join(inner(plan, name, "topics") for name in plan.storm_names())
+
+
+def box_file(plan, number):
+    return f"icebox-{number}.cfg" if plan.grid else "icebox.cfg"
+
+
+def storm_file(plan, number):
+    return f"icestorm-{number}.cfg" if plan.grid else "icestorm.cfg"
 
 
 def public(plan, program, which):
     """The endpoint of a router that the world sees."""
-    return f"{protocol(plan)} -h {plan.listen} -p {plan.port(program, which)}"
+    return f"{protocol(plan)} -h {plan.public_host(program)} -p {plan.port(program, which)}"
 
 
-def files(plan, passwords):
-    """{file name: text}. `passwords`: {user: password} of the admin and of the entities."""
-    result = {"icebox.cfg": icebox(), "icestorm.cfg": icestorm(plan),
-              "glacier2clients.cfg": glacier2(plan, "client-router", "Axon.Clients", "clients", plan.front_end_names()),
-              "glacier2entities.cfg": glacier2(plan, "entity-router", "Axon.Entities", "entities",
-                                               plan.entity_server_names()),
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where a node of IceGrid starts programs, and whose processes they are."""
+    descriptor: str  # the text of axon.xml
+    programs: pathlib.Path  # the folder of axon-server
+    user: str
+
+    def variables(self, plan):
+        return {"folder": str(plan.folder), "programs": str(self.programs), "user": self.user}
+
+    def check(self):
+        if any(c.isspace() for c in str(self.programs)):
+            raise Misconfigured(f"--programs '{self.programs}': with --grid, expected a path without blanks; fix: name another folder")
+
+
+def files(plan, passwords, place=None):
+    """{file name: text}. `passwords`: {user: password} of the admin and of the entities. `place`: for IceGrid."""
+    result = {**{router_file(name): glacier2(plan, name, "Axon.Clients", "clients", plan.front_end_names())
+                 for name in plan.router_names("client")},
+              **{router_file(name): glacier2(plan, name, "Axon.Entities", "entities", plan.entity_server_names())
+                 for name in plan.router_names("entity")},
               "client.cfg": client(plan, passwords[ADMIN]),
               "entitygl2client.cfg": entity_manager(plan, passwords[ENTITY])}
+    if plan.grid:
+        place.check()
+        result |= {"icegridregistry.cfg": grid_registry(plan), "icegridnode.cfg": grid_node(plan, place.user == "root", next(iter(plan.nodes())), plan.node_programs()[0]),
+                   "icegridadmin.cfg": grid_admin(plan), "start.sh": START,
+                   "icegrid.xml": grid_application(plan, place.descriptor,
+                                                   {node: (place.variables(plan), names) for node, names in plan.nodes().items()})}
+    for number, name in enumerate(plan.storm_names(), 1):
+        result[box_file(plan, number)] = icebox(plan, number)
+        result[storm_file(plan, number)] = icestorm(plan, name)
     for number, name in enumerate(plan.front_end_names(), 1):
         result[f"frontendserver-{number}.cfg"] = server(plan, name, "FrontEndServer", plan.front_end_names())
     for number, name in enumerate(plan.entity_server_names(), 1):
@@ -125,11 +223,11 @@ def files(plan, passwords):
     return result
 
 
-def icebox():
-    return """\
-# IceBox, the host process of IceStorm:  icebox --Ice.Config=icebox.cfg
+def icebox(plan, number):
+    return f"""\
+# IceBox, the host process of IceStorm:  icebox --Ice.Config={box_file(plan, number)}
 # What it runs, and that service's own file (relative to the folder that icebox is started in):
-IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config=icestorm.cfg
+IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config={storm_file(plan, number)}
 # Print the line "IceStorm ready" when it runs:
 IceBox.PrintServicesReady=IceStorm
 # No administrative object: anybody who reached it could end the process.
@@ -137,16 +235,14 @@ Ice.Admin.Enabled=0
 """
 
 
-def icestorm(plan):
+def icestorm(plan, name):
     return f"""\
 # IceStorm: the topics FrontEndToEntity and EntityToFrontEnd between front-end servers and entity servers.
 IceStorm.InstanceName=IceStorm
-# Nothing is kept on disk; after a restart the servers create topics and subscriptions again, within two seconds:
-IceStorm.Transient=1
-# Where the servers find the topics (their Server.TopicManager); nobody else has to reach this:
-IceStorm.TopicManager.Endpoints={inner(plan, "icestorm", "topics")}
+{storm_replica(plan, name) if plan.grid else STORM_ALONE}# Where the servers find the topics (their Server.TopicManager); nobody else has to reach this:
+IceStorm.TopicManager.Endpoints={inner(plan, name, "topics")}
 # Where they publish:
-IceStorm.Publish.Endpoints={inner(plan, "icestorm", "publish")}
+IceStorm.Publish.Endpoints={inner(plan, name, "publish")}
 # Several threads, which keep the messages of each publisher in order. IceBox warns that it does not know Serialize, but
 # IceStorm obeys it.
 IceStorm.Publish.ThreadPool.Size=4
@@ -158,7 +254,35 @@ IceStorm.Send.QueueSizeMaxPolicy=DropEvents
 IceStorm.Discard.Interval=1
 # As in every process of Axon, in KiB:
 Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
-{storm_tls(plan) if plan.tls else ""}"""
+{storm_tls(plan, name) if plan.tls else ""}"""
+
+
+STORM_ALONE = """\
+# Nothing is kept on disk; after a restart the servers create topics and subscriptions again, within two seconds:
+IceStorm.Transient=1
+"""
+
+
+def storm_replica(plan, name):
+    """One of several. The first ones of a majority are enough; one of them is the master, to which the others pass on."""
+    replicas = plan.storm_names()
+    nodes = "".join(f"IceStorm.Nodes.{number}=IceStorm/node{number}:{inner(plan, one, 'replicas')}\n"
+                    for number, one in enumerate(replicas, 1))
+    return f"""\
+# This replica, and all of them. More than half of them must run:
+IceStorm.NodeId={replicas.index(name) + 1}
+{nodes}# Where the other replicas reach this one:
+IceStorm.Node.Endpoints={inner(plan, name, "replicas")}
+# Topics and subscriptions are kept here, and copied from the master to the other replicas; messages are not:
+IceStorm.LMDB.Path={plan.folder}/db/{name}
+# What the servers are told: any replica.
+IceStorm.ReplicatedTopicManagerEndpoints={":".join(inner(plan, one, "topics") for one in replicas)}
+IceStorm.ReplicatedPublishEndpoints={":".join(inner(plan, one, "publish") for one in replicas)}
+# Seconds until a replica that does not answer is given up, and another one becomes the master:
+IceStorm.Election.MasterTimeout=2
+IceStorm.Election.ElectionTimeout=2
+IceStorm.Election.ResponseTimeout=2
+"""
 
 
 MESSAGE_SIZE_MAX = 4096  # src/transport/ice/communicator.hpp
@@ -240,7 +364,7 @@ Server.Name={name}
 {adapter}Topic.Endpoints={inner(plan, name, "topics")}
 {adapter}TopicSignal.Endpoints={inner(plan, name, "servers")}
 # The topic manager of IceStorm:
-Server.TopicManager=IceStorm/TopicManager:{inner(plan, "icestorm", "topics")}
+Server.TopicManager={topic_manager(plan)}
 # Who may log in:
 Server.Users={plan.folder}/users.cfg
 """ + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
@@ -249,11 +373,21 @@ Server.Users={plan.folder}/users.cfg
         tls(plan, certificate_of(plan, name)) if plan.tls else "")
 
 
+def the_routers(plan, whom):
+    return (f"The router, the only program that {whom} has to know:" if plan.routers == 1 else
+            f"The routers, the only programs that {whom} has to know; one that answers is chosen:")
+
+
+def routers(plan, whom):
+    """Their proxy, as clients or Entity Managers are told it."""
+    return f"Axon.{WHOM[whom].title()}/router:" + ":".join(public(plan, name, WHOM[whom]) for name in plan.router_names(whom))
+
+
 def client(plan, password):
     return f"""\
 # A client:  axon --config THIS FILE ls   or for a whole shell:  export AXON_CONFIG=THIS FILE
-# The router, the only program that a client has to know:
-Ice.Default.Router=Axon.Clients/router:{public(plan, "client-router", "clients")}
+# {the_routers(plan, "a client")}
+Ice.Default.Router={routers(plan, "client")}
 # The user who logs in; without Axon.Password the command asks for it:
 Axon.User={ADMIN}
 Axon.Password={password}
@@ -263,8 +397,8 @@ Axon.Password={password}
 def entity_manager(plan, password):
     return f"""\
 # An Entity Manager:  axon-entity-manager --config THIS FILE --application NAME
-# The router, the only program that an Entity Manager has to know:
-Ice.Default.Router=Axon.Entities/router:{public(plan, "entity-router", "entities")}
+# {the_routers(plan, "an Entity Manager")}
+Ice.Default.Router={routers(plan, "entity")}
 Axon.User={ENTITY}
 Axon.Password={password}
 {tls(plan, certificate_of(plan, "entity")) if plan.tls else ""}"""
@@ -275,35 +409,39 @@ def only(*kinds):
     return ";".join(f"OU={kind},O=Axon" for kind in kinds)
 
 
-def storm_tls(plan):
-    servers = only("front-end", "entity-server")
+def storm_tls(plan, name):
+    servers = only("front-end", "entity-server", *["storm"] * bool(plan.grid))
     return f"""\
-{tls(plan, certificate_of(plan, "icestorm"))}# Only servers may publish and subscribe, and only to servers anything is delivered:
+{tls(plan, certificate_of(plan, name))}# Only servers{" and replicas" if plan.grid else ""} may publish and subscribe, and only to servers anything is delivered:
 IceSSL.TrustOnly.Server={servers}
 IceSSL.TrustOnly.Client={servers}
 """
 
 
 def router_tls(plan, proxies, name):
-    servers = only("front-end" if name == "client-router" else "entity-server")
+    servers = only("front-end" if name.startswith("client") else "entity-server")
     return f"""\
 # Who shows a certificate and gives no user is who the certificate says:
 Glacier2.SSLPermissionsVerifier={proxies("SSLPermissionsVerifier")}
 Glacier2.SSLSessionManager={proxies("SSLSessionManager")}
 Glacier2.SSLPermissionsVerifier.ConnectionCached=0
 Glacier2.SSLSessionManager.ConnectionCached=0
-{tls(plan, certificate_of(plan, name))}# The servers of this router, and nobody else, are called, and may send messages for its {"clients" if name == "client-router" else "entities"}:
+{tls(plan, certificate_of(plan, name))}# The servers of this router, and nobody else, are called, and may send messages for its {"clients" if name.startswith("client") else "entities"}:
 IceSSL.TrustOnly.Client={servers}
 IceSSL.TrustOnly.Server.Glacier2.Server={servers}
 """
 
 
 def certificates(plan):
-    """{program: (kind, names)} as axon certs issue takes them. Servers, IceStorm and routers call each other on loopback."""
-    routers = [plan.listen] + [LOOPBACK] * (plan.listen != LOOPBACK)
-    return {"icestorm": ("storm", [LOOPBACK]), "entity-router": ("router", routers), "client-router": ("router", routers),
-            **{name: ("entity-server", [name, LOOPBACK]) for name in plan.entity_server_names()},
-            **{name: ("front-end", [name, LOOPBACK]) for name in plan.front_end_names()},
+    """{program: (kind, names)} as axon certs issue takes them. Servers, IceStorm and routers call each other at host()."""
+    grid = {name: ("registry", [plan.host(name)]) for name in ("icegridregistry", *plan.node_programs())} if plan.grid else {}
+    if not plan.tls:
+        return grid
+    routers_of = {name: ("router", list(dict.fromkeys((plan.public_host(name), plan.host(name)))))
+                  for whom in WHOM for name in plan.router_names(whom)}
+    return {**grid, **{name: ("storm", [plan.host(name)]) for name in plan.storm_names()}, **routers_of,
+            **{name: ("entity-server", [name, plan.host(name)]) for name in plan.entity_server_names()},
+            **{name: ("front-end", [name, plan.host(name)]) for name in plan.front_end_names()},
             "client": ("client", [ADMIN]), "entity": ("entity", [ENTITY])}
 
 
@@ -325,6 +463,103 @@ IceSSL.VerifyPeer=2
 # The certificate must be for the address that was called:
 IceSSL.CheckCertName=1
 IceSSL.ProtocolVersionMin=tls1_3
+"""
+
+
+GRID_INSTANCE = "AxonGrid"
+
+
+def grid_endpoint(plan, program, which):
+    """Always under TLS: whoever reaches a node can have it start any program."""
+    return f"ssl -h {plan.host(program)} -p {plan.port(program, which)}"
+
+
+def grid_links(plan, program):
+    """Of all programs of IceGrid: to which registry they belong, and whom they believe."""
+    return f"""\
+# The registry:
+Ice.Default.Locator={GRID_INSTANCE}/Locator:{grid_endpoint(plan, "icegridregistry", "locator")}
+# Whoever reaches a node can have it start any program. So IceGrid speaks TLS to IceGrid only, also within one machine.
+{tls(plan, certificate_of(plan, program))}IceSSL.TrustOnly={only("registry")}
+"""
+
+
+def grid_registry(plan):
+    def endpoint(which):
+        return grid_endpoint(plan, "icegridregistry", which)
+    return f"""\
+# The registry of IceGrid, which knows what is to run on which node:  icegridregistry --Ice.Config=icegridregistry.cfg
+IceGrid.InstanceName={GRID_INSTANCE}
+# Where icegridadmin and nodes look for it:
+IceGrid.Registry.Client.Endpoints={endpoint("locator")}
+# Where servers that IceGrid starts could register themselves; those of Axon do not:
+IceGrid.Registry.Server.Endpoints={endpoint("servers")}
+# Where nodes come:
+IceGrid.Registry.Internal.Endpoints={endpoint("nodes")}
+# What it knows is kept here:
+IceGrid.Registry.LMDB.Path={plan.folder}/db/icegridregistry
+# Whoever has a certificate of this kind is an administrator; the password is not looked at:
+IceGrid.Registry.AdminPermissionsVerifier={GRID_INSTANCE}/NullPermissionsVerifier
+{grid_links(plan, "icegridregistry")}"""
+
+
+def grid_node(plan, as_root, name, program):
+    return f"""\
+# A node of IceGrid, which starts the programs of its machine:  icegridnode --Ice.Config=icegridnode.cfg
+IceGrid.Node.Name={name}
+# Where the registry reaches it:
+IceGrid.Node.Endpoints={grid_endpoint(plan, program, "registry")}
+# What it knows of its programs is kept here:
+IceGrid.Node.Data={plan.folder}/db/icegridnode
+{ROOT_TOO if as_root else ""}{grid_links(plan, program)}"""
+
+
+ROOT_TOO = """\
+# It was made by root, who is the user of all programs (user in icegrid.xml):
+IceGrid.Node.AllowRunningServersAsRoot=1
+"""
+
+
+def grid_admin(plan):
+    return f"""\
+# icegridadmin --Ice.Config=icegridadmin.cfg
+# The registry asks for a user and does not look at it: what counts is the certificate.
+IceGridAdmin.Username=axon
+IceGridAdmin.Password=axon
+{grid_links(plan, "icegridregistry")}"""
+
+
+TEMPLATES = {"icestorm": "IceStorm", "es": "EntityServer", "fe": "FrontEndServer"}
+
+
+def grid_application(plan, descriptor, nodes):
+    """The descriptor with what runs where. `nodes`: {name: (variables, names of programs)}."""
+    def instance(program):
+        kind = program.rstrip("0123456789")
+        if kind in TEMPLATES:
+            return f'<server-instance template="{TEMPLATES[kind]}" number="{program[len(kind):]}"/>'
+        number = f' number="{program[len(kind):]}"' if program != kind else ""
+        return f'<server-instance template="{kind.title().replace("-", "")}"{number} file="{router_file(program)}"/>'
+
+    text = ""
+    for node, (variables, names) in nodes.items():
+        lines = [f"<variable name={quoteattr(name)} value={quoteattr(value)}/>" for name, value in variables.items()]
+        lines += [instance(program.name) for program in programs(plan) if program.by_node and program.name in names]
+        text += f"\n    <node name={quoteattr(node)}>\n" + "".join(f"      {line}\n" for line in lines) + "    </node>\n"
+    before, end, after = descriptor.rpartition("  </application>")
+    if not end:
+        raise Misconfigured("the descriptor of IceGrid has no line '  </application>'; fix: install axon-cluster again")
+    return before + text + end + after
+
+
+START = """\
+#!/bin/sh
+# sh start.sh NAME COMMAND: what IceGrid's node runs in place of a program. It writes down which process this is, of which
+# boot, and where its part of the log begins, and then becomes the program. What IceGrid adds to the words is not used.
+set -e
+{ cat /proc/$$/stat /proc/sys/kernel/random/boot_id; touch "log/$1.log"; stat -c %s "log/$1.log"; } >"run/$1.new"
+mv "run/$1.new" "run/$1"
+exec $2 >>"log/$1.log" 2>&1
 """
 
 

@@ -24,7 +24,12 @@ def start_ticks(pid):
         text = (PROC / str(pid) / "stat").read_text()
     except (OSError, ValueError):
         return None
-    fields = text[text.rindex(")") + 2:].split()  # the name before it may hold blanks and brackets
+    return ticks_of(text)
+
+
+def ticks_of(stat):
+    """The same of the content of a stat file in /proc."""
+    fields = stat[stat.rindex(")") + 2:].split()  # the name before it may hold blanks and brackets
     return None if fields[0] in "ZX" else int(fields[19])
 
 

@@ -256,6 +256,8 @@ const char* toString(Kind kind) {
             return "entity-server";
         case Kind::Storm:
             return "storm";
+        case Kind::Registry:
+            return "registry";
         case Kind::Router:
             return "router";
         case Kind::Entity:

@@ -23,9 +23,10 @@ using WallTime = std::chrono::sys_seconds;
 ///     FrontEnd     one of several front-end servers: the same, and for other servers and IceStorm
 ///     EntityServer one of several entity servers, likewise
 ///     Storm        icebox with IceStorm
-enum class Kind { Server, FrontEnd, EntityServer, Storm, Router, Entity, Client };
-inline constexpr std::array<Kind, 7> kKinds{Kind::Server, Kind::FrontEnd, Kind::EntityServer, Kind::Storm,
-                                            Kind::Router, Kind::Entity,   Kind::Client};
+///     Registry     icegridregistry, icegridnode and icegridadmin
+enum class Kind { Server, FrontEnd, EntityServer, Storm, Registry, Router, Entity, Client };
+inline constexpr std::array<Kind, 8> kKinds{Kind::Server,   Kind::FrontEnd, Kind::EntityServer, Kind::Storm,
+                                            Kind::Registry, Kind::Router,   Kind::Entity,       Kind::Client};
 /// The OU, which is also the option of axon certs.
 const char* toString(Kind kind);
 std::optional<Kind> kindOf(std::string_view unit);

@@ -261,6 +261,13 @@ std::string configuration(const Request& request, const std::string& stem, const
                    "IceSSL.TrustOnly.Server=OU=front-end,O=Axon;OU=entity-server,O=Axon\n"
                    "IceSSL.TrustOnly.Client=OU=front-end,O=Axon;OU=entity-server,O=Axon\n";
             break;
+        case Kind::Registry:
+            text = "# The certificate of IceGrid on " + name +
+                   ": icegridregistry, icegridnode and icegridadmin --Ice.Config=FILE,…\n"
+                   "#Ice.Default.Locator=AxonGrid/Locator:ssl -h HOST -p 10426\n"
+                   "# A node starts whatever a registry tells it, so they speak to each other only:\n"
+                   "IceSSL.TrustOnly=OU=registry,O=Axon\n";
+            break;
         case Kind::Router:
             text = "# The certificate of the router " + name +
                    ": glacier2router --Ice.Config=FILE,…\n"

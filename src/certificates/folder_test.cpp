@@ -90,6 +90,13 @@ TEST_F(CertificateFolder, TheFileOfIceStormAdmitsServersOnly) {
     EXPECT_THAT(contentOf(server.files.back()), HasSubstr("#Server.Name=es1\n"));
 }
 
+TEST_F(CertificateFolder, TheFileOfIceGridAdmitsIceGridOnly) {
+    folder.init(kNow, false);
+    const auto registry = folder.issue({Kind::Registry, {"lab"}}, kNow, false);
+    EXPECT_EQ(registry.files.back().filename(), "registry-lab.cfg");
+    EXPECT_THAT(contentOf(registry.files.back()), HasSubstr("\nIceSSL.TrustOnly=OU=registry,O=Axon\n"));
+}
+
 TEST_F(CertificateFolder, TheFileOfARouterAdmitsServersOnlyBehindIt) {
     folder.init(kNow, false);
     const auto router = folder.issue({Kind::Router, {"lab"}}, kNow, false);

@@ -266,6 +266,8 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     if (auto& router = options.server.router; !router.empty()) {
         router = transport::wayToRouter(router, transport::speaksTls(options.ice_properties));
         options.server.tls = transport::isTlsRouter(router);
+        if (const auto tried = transport::routerTriedFor(router))
+            options.ice_properties.try_emplace("Ice.Override.ConnectTimeout", std::to_string(*tried));
     }
     if (options.server.port == 0)
         throw std::runtime_error(

@@ -204,7 +204,8 @@ TEST_F(UsersOnDisk, RefusesAFileThatOthersMayReadOrWrite) {
 }
 
 TEST_F(UsersOnDisk, SaysWhatIsWrongWithTheFileItself) {
-    EXPECT_THAT(complaint(), testing::AllOf(HasSubstr("No such file; fix: write the line"), HasSubstr("axon users add")));
+    EXPECT_THAT(complaint(),
+                testing::AllOf(HasSubstr("No such file; fix: write the line"), HasSubstr("axon users add")));
     std::ofstream(file) << "# nobody yet\n";
     ::chmod(file.c_str(), 0600);
     EXPECT_THAT(complaint(), HasSubstr("expected at least one user"));

@@ -692,7 +692,8 @@ TEST_F(Links, OnlyServersMayPublishAndSubscribe) {
     };
     EXPECT_TRUE(at(issued(Kind::FrontEnd, "fe9")));
     EXPECT_TRUE(at(issued(Kind::EntityServer, "es9")));
-    for (const auto kind : {Kind::Client, Kind::Entity, Kind::Router, Kind::Server, Kind::Storm})
+    for (const auto kind :
+         {Kind::Client, Kind::Entity, Kind::Router, Kind::Server, Kind::Storm, Kind::Registry})
         EXPECT_FALSE(
             at(issued(kind, kind == Kind::Client || kind == Kind::Entity ? "somebody" : loopbackAddress())))
             << toString(kind);

@@ -206,7 +206,8 @@ class BareSystem(Test):
         self.assertIn(f"{PAGES[1:]}docs", self.ok("axon", "docs", "--path", "docs/questions.md"))
 
     def units_are_sound(self):
-        for unit in ("axon-server.service", "axon-entity-manager@Greeter.service"):
+        self.ok("apt-get", "install", "-y", "--no-install-recommends", "zeroc-icegrid", "zeroc-ice-utils")
+        for unit in ("axon-server.service", "axon-entity-manager@Greeter.service", "axon-icegridregistry.service", "axon-icegridnode.service"):
             self.assertEqual(self.ok("systemd-analyze", "verify", unit), "", unit)
             exposure = self.ok("systemd-analyze", "security", "--no-pager", unit)
             level = float(re.search(r"Overall exposure level for \S+: ([\d.]+)", exposure).group(1))

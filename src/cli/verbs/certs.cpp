@@ -152,6 +152,7 @@ extern const Verb kCerts{
     "hosts\n"
     "  axon certs issue --entity-server es1 192.168.0.6\n"
     "  axon certs issue --storm lab.example                  for IceStorm between several servers\n"
+    "  axon certs issue --registry lab.example               for IceGrid, which starts these programs\n"
     "  axon certs issue --entity PeopleBot                   the name in its basic profile\n"
     "  axon certs issue --client client1                     the name in users.cfg\n"
     "  axon certs show                                       list them, and when they expire\n"
@@ -165,6 +166,7 @@ extern const Verb kCerts{
      {"front-end", Takes::Nothing, "For one of several front-end servers: its name and its hosts"},
      {"entity-server", Takes::Nothing, "For one of several entity servers, likewise"},
      {"storm", Takes::Nothing, "For IceStorm between several servers"},
+     {"registry", Takes::Nothing, "For IceGrid: registry, node and icegridadmin"},
      {"router", Takes::Nothing, "For glacier2router"},
      {"entity", Takes::Nothing, "For the Entity Manager of the entity of this name"},
      {"client", Takes::Nothing, "For the user of this name"},

@@ -49,12 +49,13 @@ TEST_F(Certs, MakesACaAndIssuesCertificatesForAllKinds) {
     EXPECT_EQ(seen.last("issued")->at("certificate").at("names"), Json::array({"lab"}));
     EXPECT_EQ(axon({"issue", "--entity-server", "es1", "lab", "127.0.0.1"}), kDone);
     EXPECT_EQ(axon({"issue", "--storm", "lab"}), kDone);
+    EXPECT_EQ(axon({"issue", "--registry", "lab"}), kDone);
     EXPECT_EQ(axon({"issue", "--entity", "Cyton Arm"}), kDone);
     EXPECT_EQ(axon({"issue", "--client", "client1", "--days", "40"}), kDone);
     EXPECT_EQ(seen.last("issued")->at("certificate").at("kind"), "client");
     EXPECT_EQ(seen.last("issued")->at("files").back(), folder + "/lab/client-client1.cfg");
     EXPECT_EQ(axon({"show"}), kDone);
-    EXPECT_EQ(seen.last("certificates")->at("certificates").size(), 8U);
+    EXPECT_EQ(seen.last("certificates")->at("certificates").size(), 9U);
     EXPECT_EQ(seen.last("finding"), nullptr);
 }
 

@@ -367,15 +367,16 @@ void checkPorts(Report& report) {
 }
 
 int doctor(Session& session) {
+    const bool security = session.args.value("security", false);
+    if (!security && session.args.contains("links"))
+        return misused(session, "--links FILE is looked at with --security only");
     Report report(session.events);
     report.ok("axon", std::string("version ") + kRelease);
-    if (session.args.value("security", false)) {
+    if (security) {
         checkSecurity(report, session);
         checkAgent(report, session.settings);
         return report.anyBad() ? kRefused : kDone;
     }
-    if (session.args.contains("links"))
-        return misused(session, "--links FILE is looked at with --security only");
     checkServer(report, session);
     checkAgent(report, session.settings);
     checkRealTime(report);

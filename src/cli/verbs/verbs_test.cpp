@@ -141,6 +141,24 @@ TEST_F(Verbs, DoctorLooksAtTheClock) {
     EXPECT_NE((*found)["level"], "bad");
 }
 
+TEST_F(Verbs, DoctorLooksAtLinksBetweenServersAmongWhatIsUnsafeOnly) {
+    const auto file = std::filesystem::path(testing::TempDir()) / "axon-doctor-links.cfg";
+    std::ofstream(file) << "FrontEndServerTopic.Endpoints=tcp -h 0.0.0.0 -p 10425\n";
+    const auto examine = [&](Json args) {
+        seen.events.clear();
+        Session session{std::move(args), seen, mailbox, nullptr, settings, kept};
+        session.connect = [&](const Settings&) { return std::shared_ptr<Station>(station); };
+        return findVerb("doctor")->perform(session);
+    };
+    EXPECT_EQ(examine({{"security", true}, {"links", file.string()}}), kRefused);
+    EXPECT_TRUE(std::any_of(seen.events.begin(), seen.events.end(), [](const Json& event) {
+        return event.value("name", "") == "links" && event.value("level", "") == "bad";
+    }));
+    EXPECT_EQ(examine({{"links", file.string()}}), kUsage);
+    EXPECT_EQ(seen.last("finding"), nullptr);
+    std::filesystem::remove(file);
+}
+
 TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
     const auto folder = std::filesystem::path(testing::TempDir()) / "axon-doctor-state";
     std::filesystem::remove_all(folder);

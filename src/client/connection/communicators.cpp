@@ -29,11 +29,13 @@ LaneHome homeOf(const Ice::CommunicatorHolder& holder) {
 
 Result<void> Communicators::open(const Options& options) {
     try {
-        const auto milliseconds = std::max<long long>(
+        const auto& server = options.server;
+        auto milliseconds = std::max<long long>(
             1, std::chrono::duration_cast<std::chrono::milliseconds>(toDuration(options.timeout)).count());
+        if (const auto tried = transport::routerTriedFor(server); transport::isRouter(server) && tried)
+            milliseconds = std::min<long long>(milliseconds, *tried);
         auto properties = options.properties;
         properties["Ice.Override.ConnectTimeout"] = std::to_string(milliseconds);
-        const auto& server = options.server;
         const bool tls = transport::isRouter(server) ? transport::isTlsRouter(server)
                                                      : transport::parseEndpoint(server).tls;
         if (tls && !transport::speaksTls(properties))

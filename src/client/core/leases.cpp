@@ -350,8 +350,7 @@ void Leases::orphan(const std::string& entity, bool left, const std::string& rea
     mine.left = left;
     // An entity that has left its server may come back by another one: its own time has begun before.
     mine.expires = now + mine.grace;
-    if (!left)
-        mine.expires += std::max(parts_.context.settings.loss_notice, parts_.server.watchdogs().idle);
+    if (!left) mine.expires += std::max(parts_.context.settings.loss_notice, parts_.server.watchdogs().idle);
     mine.question.reset();
     mine.asked_by.clear();
     if (is_new) {

@@ -161,7 +161,7 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
 bool answersPeers(const PeerCertificate& its) {
     using certificates::Kind;
     const auto kind = certificates::kindOf(its.unit);
-    return kind && isCalled(*kind) && *kind != Kind::Storm;
+    return kind && isCalled(*kind) && *kind != Kind::Storm && *kind != Kind::Registry;
 }
 
 /// Nothing also where IceSSL has let pass what it has not verified (IceSSL.VerifyPeer=0).

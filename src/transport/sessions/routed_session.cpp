@@ -194,6 +194,11 @@ std::string wayToRouter(const std::string& router, bool has_certificate) {
     return chosen == parts.front() ? router : chosen;
 }
 
+std::optional<int> routerTriedFor(const std::string& router) {
+    constexpr int kOneOfSeveralMs = 300;
+    return partsOf(router).size() > 2 ? std::optional(kOneOfSeveralMs) : std::nullopt;
+}
+
 bool isTlsRouter(const std::string& router) {
     const auto parts = partsOf(router);
     return std::any_of(parts.begin() + 1, parts.end(), isSecureEndpoint);

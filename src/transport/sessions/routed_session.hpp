@@ -5,6 +5,7 @@
 #include <exception>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
 namespace axon::transport {
@@ -47,6 +48,10 @@ bool isRouter(const std::string& server);
 /// none: TLS where it can, never plain beside it, because Ice takes any of those that are there. A proxy
 /// without a choice stays as it is.
 std::string wayToRouter(const std::string& router, bool has_certificate);
+
+/// How long a new connection to one of several routers may take before the next one is tried, in
+/// milliseconds. Nothing where the proxy has one endpoint.
+std::optional<int> routerTriedFor(const std::string& router);
 
 /// Whether such a router is reached over TLS.
 bool isTlsRouter(const std::string& router);

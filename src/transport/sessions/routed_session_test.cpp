@@ -28,6 +28,15 @@ TEST(WayToARouter, ThatHasNoChoiceIsAsItIs) {
               "Axon.Clients/router:tcp -h \"::1\" -p 10414");
 }
 
+TEST(WayToARouter, OneOfSeveralIsGivenUpSoon) {
+    const auto soon = routerTriedFor("Axon.Clients/router:tcp -h a -p 1:tcp -h b -p 2");
+    ASSERT_TRUE(soon);
+    EXPECT_LE(*soon, 500) << "two lanes try up to twice, and everything is to be usable within 5 s";
+    EXPECT_FALSE(routerTriedFor("Axon.Clients/router:tcp -h a -p 1"));
+    EXPECT_FALSE(routerTriedFor("Axon.Clients/router:tcp -h \"::1\" -p 1"));
+    EXPECT_FALSE(routerTriedFor("127.0.0.1:10410"));
+}
+
 TEST(WayToARouter, IsTlsOrNot) {
     EXPECT_TRUE(isTlsRouter("Axon.Clients/router: ssl -h lab -p 10418"));
     EXPECT_TRUE(isTlsRouter("Axon.Clients/router:ssl -h \"::1\" -p 10418"));

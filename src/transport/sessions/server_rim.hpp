@@ -89,12 +89,16 @@ class ServerRim {
                     watch(limits_, *signal_adapter_, signal_lane_, routers_.get())};
         if (others_.data)
             for (auto& one : watch(limits_, others_, links_)) watches_.push_back(std::move(one));
-        if (router_adapter_)
-            watches_.push_back(limits_.watch(
-                listenedEndpoints(*router_adapter_), {[this](const std::string& peer) {
-                    const bool known = routers_->has(peer) || (links_ != nullptr && links_->hasCome(peer));
-                    return known ? ConnectionLimits::Peer::Exempt : ConnectionLimits::Peer::Stranger;
-                }}));
+        if (router_adapter_ && links_ != nullptr) {
+            // A router without TLS is on this machine, and may have said nothing yet but that it is there.
+            auto endpoints = listenedEndpoints(*router_adapter_);
+            std::erase_if(endpoints, [](const Endpoint& one) { return !one.tls; });
+            const auto stateOf = [this](const std::string& peer) {
+                return links_->hasCome(peer) ? ConnectionLimits::Peer::Exempt
+                                             : ConnectionLimits::Peer::Stranger;
+            };
+            watches_.push_back(limits_.watch(std::move(endpoints), {stateOf}));
+        }
         signal_adapter_->activate();
         data_adapter_->activate();
         if (router_adapter_) router_adapter_->activate();

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Which program runs on which machine, as a person has written it down, and what each machine needs for that, as text.
+
+Nothing here reads, writes or starts anything.
+"""
+import dataclasses
+import ipaddress
+import pathlib
+import re
+import shlex
+
+import configuration
+from configuration import ENTITY, SERVERS_MAX, STORM_REPLICAS, Misconfigured
+
+SIZE_MAX = 65536
+FOLDER = pathlib.Path("/var/lib/axon-cluster")  # of the units in deploy/systemd
+PROGRAMS = pathlib.Path("/usr/bin")
+ACCOUNT = "axon"
+PEOPLE = "clients_and_entities"  # the folder of their files; no machine can have that name
+OF_MACHINE = "@"  # icegridnode@lab.example is the node there
+LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?")
+NAME_MAX = 64  # of the CN of a certificate
+NUMBERED = re.compile(r"(fe|es|icestorm)([1-9])")
+ALONE = ("icegridregistry", "client-router", "entity-router")
+EXAMPLE = """\
+    lab.example:  icegridregistry icestorm1 icestorm2 fe1 client-router
+    hall.example: icestorm3 es1 entity-router"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Spread(configuration.Plan):
+    """A cluster on several machines, all of whose links are under TLS."""
+    places: tuple = ()  # of (program, machine)
+
+    def host(self, program):
+        _, node, machine = program.partition(OF_MACHINE)
+        return machine if node else dict(self.places)[program]
+
+    def public_host(self, program):
+        return self.host(program)
+
+    def machines(self):
+        return list(dict.fromkeys(machine for _, machine in self.places))
+
+    def on(self, machine):
+        return [program for program, at in self.places if at == machine]
+
+    def nodes(self):
+        return {machine: self.on(machine) for machine in self.machines()}
+
+    def node_programs(self):
+        return [f"icegridnode{OF_MACHINE}{machine}" for machine in self.machines()]
+
+    def leaves_the_machine(self):
+        return True
+
+
+def read(text, where, folder=FOLDER, base_port=configuration.BASE_PORT):
+    """The plan of a file with lines `MACHINE: PROGRAM …`. Misconfigured names `where` and the line."""
+    def wrong(number, what, fix):
+        raise Misconfigured(f"{where}{f':{number}' if number else ''}: {what}; fix: {fix}")
+
+    if len(text) > SIZE_MAX:
+        wrong(0, f"{len(text)} characters; expected at most {SIZE_MAX}", "name a file with one line for each machine")
+    places, lines, machines = {}, {}, {}
+    for number, line in enumerate(text.splitlines(), 1):
+        line = line.partition("#")[0].strip()
+        if not line:
+            continue
+        machine, colon, names = (part.strip() for part in line.partition(":"))
+        if not colon:
+            wrong(number, f"'{shown(line)}': expected MACHINE: PROGRAM …", f"write it as in\n{EXAMPLE}")
+        if not is_host(machine):
+            wrong(number, f"'{shown(machine)}' is no name or IPv4 address of a machine", "name it as the other machines reach it")
+        if machine.lower() in machines:
+            wrong(number, f"{shown(machine)} is also in line {machines[machine.lower()]}", "write all its programs into one line")
+        machines[machine.lower()] = number
+        for name in names.split():
+            if name not in ALONE and not NUMBERED.fullmatch(name):
+                wrong(number, f"there is no program '{shown(name)}'; expected {', '.join(ALONE)}, icestorm1 to "
+                      f"icestorm{STORM_REPLICAS}, fe1 to fe{SERVERS_MAX} or es1 to es{SERVERS_MAX}", "correct the name")
+            if name in places:
+                wrong(number, f"{name} runs on {places[name]} already (line {lines[name]})", "name it once")
+            places[name], lines[name] = machine, number
+        if not names:
+            wrong(number, f"nothing runs on {machine}", "name its programs after the colon, or delete the line")
+    counts = {kind: [int(match[2]) for match in map(NUMBERED.fullmatch, places) if match and match[1] == kind]
+              for kind in ("fe", "es", "icestorm")}
+    for name in ALONE:
+        if name not in places:
+            wrong(0, f"no machine runs {name}", f"add it to the line of one machine, as in\n{EXAMPLE}")
+    for kind, numbers in counts.items():
+        wanted = STORM_REPLICAS if kind == "icestorm" else max(numbers, default=1)
+        for n in range(1, wanted + 1):
+            if n not in numbers:
+                wrong(0, f"no machine runs {kind}{n}; expected {kind}1 to {kind}{wanted}", "add it to the line of one machine")
+        for n in numbers:
+            if n > wanted:
+                wrong(lines[f"{kind}{n}"], f"{kind}{n}: expected {kind}1 to {kind}{wanted}", "delete it")
+    plan = Spread(folder=pathlib.Path(folder), front_ends=len(counts["fe"]), entity_servers=len(counts["es"]), base_port=base_port,
+                  tls=True, grid=True, places=tuple(places.items()))
+    plan.check()
+    return plan
+
+
+def is_host(name):
+    """A name or IPv4 address for which `axon certs issue` makes a certificate, and that means one machine."""
+    if re.fullmatch(r"[0-9.]+", name):
+        try:
+            return not ipaddress.IPv4Address(name).is_unspecified
+        except ValueError:
+            return False
+    return len(name) <= NAME_MAX and all(map(LABEL.fullmatch, name.split(".")))
+
+
+def shown(text):
+    """Of what came from outside, as much as fits into a message."""
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= 40 else text[:40] + "…"
+
+
+def files(plan, passwords, users, place):
+    """{path below the folder that is written: text}. `users`: the text of users.cfg, the same for all servers."""
+    everything = configuration.files(plan, passwords, place)
+    found = {}
+    for (machine, here), node in zip(plan.nodes().items(), plan.node_programs()):
+        names = ["start.sh"] + [file for program in configuration.programs(plan) if program.name in here
+                                for file in files_of(program)]
+        if "icegridregistry" in here:
+            names += ["icegridadmin.cfg", "icegrid.xml"]
+        texts = {name: everything[name] for name in dict.fromkeys(names)}
+        texts["icegridnode.cfg"] = configuration.grid_node(plan, place.user == "root", machine, node)
+        texts["users.cfg"] = users
+        found |= {f"{machine}/{name}": text for name, text in texts.items()}
+    found[f"{PEOPLE}/client.cfg"] = everything["client.cfg"]
+    found[f"{PEOPLE}/entitygl2client.cfg"] = everything["entitygl2client.cfg"]
+    found["certificates.sh"] = certificates(plan)
+    return found
+
+
+def folders(plan):
+    """The folders that the programs of each machine need, relative to that of files()."""
+    return [f"{machine}/{folder}" for (machine, here), node in zip(plan.nodes().items(), plan.node_programs())
+            for folder in configuration.folders(plan, [node, *here])]
+
+
+def files_of(program):
+    file = program.command[-1].rpartition("=")[2]
+    return [file] + [file.replace("icebox", "icestorm")] * file.startswith("icebox")
+
+
+def certificates(plan):
+    wanted = configuration.certificates(plan)
+    lines, copies = {}, {}
+    for program, (kind, names) in wanted.items():
+        stem = configuration.certificate_of(plan, program)
+        lines[stem] = f"issue {stem} --{kind} {' '.join(map(shlex.quote, names))}"
+        folder = PEOPLE if program in ("client", ENTITY) else plan.host(program)
+        copies.setdefault(folder, {})[stem] = f"give {folder} {stem}"
+    text = "".join(f"{line}\n" for line in lines.values())
+    text += "".join(f"{line}\n" for those in copies.values() for line in those.values())
+    return f"""\
+#!/bin/sh
+# sh certificates.sh [CERTS]: on the machine with the laboratory's CA, issues the certificates that are not there yet, and
+# copies to the folder of each machine those that it needs. CERTS is the folder of the CA (~/.config/axon/certs).
+set -eu
+certs=${{1:-$HOME/.config/axon/certs}}
+cd "$(dirname "$0")"
+umask 077
+[ -e "$certs/ca.cert.pem" ] || axon certs init --folder "$certs"
+issue() {{
+    stem=$1
+    shift
+    [ -e "$certs/$stem.cert.pem" ] || axon certs issue --folder "$certs" "$@"
+}}
+give() {{
+    mkdir -p "$1/certs"
+    cp "$certs/ca.cert.pem" "$certs/$2.cert.pem" "$certs/$2.key.pem" "$1/certs"
+}}
+{text}"""

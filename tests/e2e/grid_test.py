@@ -1,0 +1,234 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""axon-cluster up --grid with real programs: what IceGrid starts, it starts again, and nobody else has it start anything.
+
+    python3 tests/e2e/grid_test.py --bin build/dev/bin [unittest options]
+"""
+import json
+import os
+import pathlib
+import pwd
+import re
+import shutil
+import signal
+import ssl
+import subprocess
+import sys
+import unittest
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
+sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
+import probe  # noqa: E402
+import stalls  # noqa: E402
+from laboratory import Laboratory, Process, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
+
+BIN = programs()
+OF_NODE = ["icestorm1", "icestorm2", "icestorm3", "es1", "es2", "fe1", "fe2", "entity-router", "client-router"]
+SECONDS = 60
+
+
+class GridTest(unittest.TestCase):
+    def setUp(self):
+        self.lab = Laboratory(BIN, application="Greeter", ports="%d-%d" % robot_ports(), environment="cluster")
+        self.addCleanup(self.tidy)
+
+    def tidy(self):
+        self.lab.end()
+        keep_if_failed(self, self.lab.folder)
+
+    def start(self, *more):
+        return self.lab.start_cluster(shape=("--base-port", 0, "--front-ends", 2, "--entity-servers", 2, "--grid", *more))
+
+    def status(self):
+        return {program["name"]: program for program in json.loads(self.lab.server.command("status", "--json")[1])["programs"]}
+
+    def icegridadmin(self, words):
+        return subprocess.run(["icegridadmin", f"--Ice.Config={self.lab.server.folder}/icegridadmin.cfg", "-e", words],
+                              env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
+
+    def test_what_is_killed_is_started_again_by_its_node_and_down_ends_all(self):
+        cluster = self.start("--tls")
+        before = self.status()
+        self.assertEqual(list(before), ["icegridregistry", "icegridnode", *OF_NODE])
+        self.assertEqual({program["state"] for program in before.values()}, {"running"})
+        self.assertEqual(sorted(self.icegridadmin("server list").stdout.split()), sorted(OF_NODE))
+        for name in OF_NODE:
+            self.assertRegex(self.icegridadmin(f"server state {name}").stdout, rf"active \(pid = {before[name]['pid']}, enabled\)")
+
+        for name in OF_NODE:
+            os.kill(before[name]["pid"], signal.SIGKILL)
+        wait_until(lambda: all(program["state"] == "running" and program["pid"] != before[name]["pid"]
+                               for name, program in self.status().items() if name in OF_NODE), "all are started again", SECONDS)
+        cluster.do("up")  # waits until they can be used
+        self.assertEqual(self.lab.axon("ls")[0], 0)
+        now = self.status()
+        for name in ("icegridregistry", "icegridnode"):
+            self.assertEqual(now[name]["pid"], before[name]["pid"])
+
+        cluster.do("restart", "es2")
+        self.assertNotEqual(self.status()["es2"]["pid"], now["es2"]["pid"])
+        now = self.status()
+        self.assertIn(", ".join(reversed(now)), cluster.do("down"))
+        for name, program in now.items():
+            self.assertFalse(os.path.exists(f"/proc/{program['pid']}/exe"), name)
+        cluster.do("up")
+        self.assertEqual({program["state"] for program in self.status().values()}, {"running"}, "again, with what the registry has kept")
+
+    def test_a_robot_is_used_while_each_replica_of_icestorm_in_turn_and_then_registry_and_node_are_killed(self):
+        cluster = self.start()
+        robot = self.lab.folder / "robot"
+        shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
+        (robot / "ports.cfg").write_text(f"Axon.Ports = {self.lab.ports}\n")
+        self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
+        self.lab.start_manager()
+        self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+
+        def works():
+            status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
+            self.assertEqual(status, 0, f"{lines} {errors}")
+        works()
+        for name in ("icestorm1", "icestorm2", "icestorm3"):
+            killed = self.status()[name]["pid"]
+            cluster.do("kill", name)
+            works()
+            wait_until(lambda its=name, old=killed: self.status()[its]["pid"] not in (None, old), f"{name} is started again", SECONDS)
+            cluster.do("up")
+        for name in ("icegridregistry", "icegridnode"):
+            cluster.do("kill", name)
+        works()
+        self.assertEqual({name: program["state"] for name, program in self.status().items() if name in OF_NODE},
+                         dict.fromkeys(OF_NODE, "running"))
+        status, text = cluster.command("up")
+        self.assertEqual(status, 2, text)
+        self.assertIn("its programs still run", text)
+        cluster.do("down")
+        self.assertEqual({program["state"] for program in self.status().values()}, {"ended"})
+
+    def test_nobody_but_icegrid_speaks_to_registry_and_node_also_where_the_cluster_has_no_tls(self):
+        cluster = self.start()
+        certs = cluster.folder / "certs"
+        for kind, *names in (("client", "admin"), ("router", "127.0.0.1"), ("storm", "127.0.0.1"), ("front-end", "fe1", "127.0.0.1")):
+            status, _, errors = self.lab.axon("certs", "issue", f"--{kind}", *names, "--folder", str(certs))
+            self.assertEqual(status, 0, errors)
+
+        def shows(stem):
+            context = ssl.create_default_context(cafile=certs / "ca.cert.pem")
+            context.load_cert_chain(certs / f"{stem}.cert.pem", certs / f"{stem}.key.pem")
+            return context
+
+        found = self.status()
+        at = [where for name in ("icegridregistry", "icegridnode") for where in found[name]["ports"].values()]
+        self.assertEqual(len(at), 4)
+        for where in at:
+            host, _, port = where.rpartition(":")
+            self.assertEqual(host, "127.0.0.1")
+            probe.Connection(host, int(port), shows("registry-127.0.0.1")).close()
+            with self.assertRaises(probe.NoAnswer):
+                probe.Connection(host, int(port), timeout_s=0.3)
+            for stem in ("client-admin", "router-127.0.0.1", "storm-127.0.0.1", "front-end-fe1"):
+                with self.assertRaises(probe.NoAnswer, msg=f"{where} {stem}"):
+                    probe.Connection(host, int(port), shows(stem))
+        # Nothing listens that status does not name.
+        ours = {int(where.rpartition(":")[2]) for program in found.values() for where in program["ports"].values()}
+        for name in ("icegridregistry", "icegridnode"):
+            self.assertLessEqual(listening(found[name]["pid"]), ours, name)
+
+
+class SeveralMachinesTest(unittest.TestCase):
+    """The folders of axon-cluster configure, each seen by its machine where it expects it: a mount namespace and an address of
+    loopback stand for each machine."""
+
+    MACHINES = {"127.0.0.2": "icegridregistry icestorm1 fe1 client-router", "127.0.0.3": "icestorm2 es1 entity-router",
+                "127.0.0.4": "icestorm3"}
+
+    def setUp(self):
+        if subprocess.run(["unshare", "--mount", "true"], capture_output=True, check=False).returncode != 0:
+            self.skipTest("mount namespaces cannot be made: it takes root")
+        self.lab = Laboratory(BIN, application="Greeter", ports="%d-%d" % robot_ports(), environment="embedded")
+        self.addCleanup(self.tidy)
+        self.out, self.at = self.lab.folder / "out", self.lab.folder / "at"
+        self.at.mkdir()
+        self.lab.env["PATH"] = f"{BIN}:{self.lab.env['PATH']}"
+
+    def tidy(self):
+        self.lab.end()
+        keep_if_failed(self, self.lab.folder)
+
+    def do(self, *words):
+        done = subprocess.run([str(word) for word in words], env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
+        self.assertEqual(done.returncode, 0, f"{words}: {done.stdout}{done.stderr}")
+        return done.stdout
+
+    def on(self, machine, *words):
+        """The words of a command, as `machine` carries it out. sh becomes the command."""
+        return ["unshare", "--mount", "sh", "-c", 'mount --bind "$1" "$2"; shift 2; exec "$@"', "sh", self.out / machine, self.at, *words]
+
+    def start(self, machine, program):
+        words = self.on(machine, program, f"--Ice.Config={self.at}/{program}.cfg")
+        process = Process(f"{program}-{machine}", words, self.lab.folder, self.lab.env)
+        self.lab.processes.append(process)
+        return process
+
+    def admin(self, words):
+        done = subprocess.run([str(word) for word in self.on("127.0.0.2", "icegridadmin", f"--Ice.Config={self.at}/icegridadmin.cfg", "-e", words)],
+                              env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
+        return done.stdout + done.stderr
+
+    def test_a_robot_is_used_across_three_machines_and_what_is_killed_is_started_again(self):
+        (self.lab.folder / "hosts.txt").write_text("".join(f"{machine}: {programs}\n" for machine, programs in self.MACHINES.items()))
+        self.do(BIN / "axon-cluster", "configure", "--hosts", self.lab.folder / "hosts.txt", "--to", self.out, "--at", self.at,
+                "--user", pwd.getpwuid(os.geteuid()).pw_name, "--base-port", 11000 + os.getpid() % 100 * 200)
+        self.do("sh", self.out / "certificates.sh", self.lab.folder / "certs")
+        application = self.out / "127.0.0.2" / "icegrid.xml"
+        application.write_text(application.read_text().replace('"/usr/bin"', f'"{BIN}"'))
+
+        self.start("127.0.0.2", "icegridregistry")
+        for machine in self.MACHINES:
+            self.start(machine, "icegridnode")
+        for machine in self.MACHINES:
+            wait_until(lambda its=machine: "node is up" in self.admin(f"node ping {its}"), f"the node of {machine} is up", SECONDS)
+        self.assertEqual(self.admin(f"application add '{self.at}/icegrid.xml'"), "")
+
+        people = self.out / "clients_and_entities"
+        for file in ("client.cfg", "entitygl2client.cfg"):
+            (people / file).write_text((people / file).read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={people}/certs"))
+        self.lab.env["AXON_CONFIG"] = str(people / "client.cfg")
+        wait_until(lambda: self.lab.axon("ls")[0] == 0, "a client gets a session", SECONDS)
+        robot = self.lab.folder / "robot"
+        shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
+        (robot / "ports.cfg").write_text(f"Axon.Ports = {self.lab.ports}\n")
+        self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
+        self.lab.start("manager", "axon-entity-manager", "--config", people / "entitygl2client.cfg", "--application", "Greeter",
+                       "--ports", self.lab.ports, "--state", self.lab.folder / "manager-state")
+        self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+
+        def works():
+            status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
+            return status == 0 or print(lines, errors, file=sys.stderr)
+        self.assertTrue(works())
+        for name in ("es1", "icestorm2", "fe1"):
+            pid = int(self.admin(f"server pid {name}"))
+            os.kill(pid, signal.SIGKILL)
+            wait_until(lambda its=name, old=pid: re.fullmatch(r"\d+\n", said := self.admin(f"server pid {its}")) and int(said) != old,
+                       f"{name} is started again", SECONDS)
+            self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+            wait_until(works, f"the robot can be used after the end of {name}", SECONDS)
+
+
+def listening(pid):
+    """The TCP ports on which process `pid` listens."""
+    sockets = set()
+    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
+        if held := re.match(r"socket:\[(\d+)\]", os.readlink(descriptor)):
+            sockets.add(held[1])
+    found = set()
+    for table in ("tcp", "tcp6"):
+        for line in pathlib.Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in sockets:
+                found.add(int(fields[1].rpartition(":")[2], 16))
+    return found
+
+
+if __name__ == "__main__":
+    stalls.main()
