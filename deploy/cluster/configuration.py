@@ -34,6 +34,7 @@ class Plan:
     listen: str = LOOPBACK  # where the two routers listen; everything else is on loopback
     tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
     grid: bool | None = None  # IceGrid starts the programs, and there are several IceStorms
+    audited: bool | None = None  # servers keep an audit trail
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
@@ -151,6 +152,8 @@ WHOM = {"client": "clients", "entity": "entities"}  # of a router
 def folders(plan, names):
     """Of these programs, below the cluster's own, each after that in which it lies."""
     found = ["log", "globalservices"]
+    if plan.audited:
+        found.append("audit")
     if plan.grid:
         found += ["run", "db", *(f"db/{name.partition('@')[0]}" for name in names if name.startswith("ice"))]
     return found
@@ -330,12 +333,13 @@ Ice.ThreadPool.Server.Size=4
 Ice.ThreadPool.Server.SizeMax=16
 Ice.ThreadPool.Server.Serialize=1
 # The connections to the servers last as long as their sessions. A server that stands still is given up, so that another
-# one is chosen: after a second without a sign of life in a call, or 0.3 s without an answer to a new connection.
-# (Heartbeats of the router's own would count as such signs.)
+# one is chosen: after a second without a sign of life in a call. (Heartbeats of the router's own would count as such.)
 Ice.ACM.Client.Timeout=1
 Ice.ACM.Client.Close=2
 Ice.ACM.Client.Heartbeat=0
-Ice.Override.ConnectTimeout=300
+# The same after half a second without an answer to a new connection; so long may also each step take of the TLS handshake
+# between this router and {whom}:
+Ice.Override.ConnectTimeout=500
 # Tries to reach a server, in milliseconds after one that failed:
 Ice.RetryIntervals=0 200 500
 Ice.Warn.Connections=0
@@ -367,7 +371,7 @@ Server.Name={name}
 Server.TopicManager={topic_manager(plan)}
 # Who may log in:
 Server.Users={plan.folder}/users.cfg
-""" + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
+""" + (f"# Who did what is recorded here (docs/reference/audit.md):\nAxon.Audit.Folder={plan.folder}/audit\n" if plan.audited else "") + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
        f"Server.GlobalServices={plan.folder}/globalservices\n" if front_end else "") + (
         f"# The other servers of its kind, to which requests for their sessions are passed on:\n{peers}" if peers else "") + (
         tls(plan, certificate_of(plan, name)) if plan.tls else "")
@@ -492,6 +496,8 @@ def grid_registry(plan):
 IceGrid.InstanceName={GRID_INSTANCE}
 # Where icegridadmin and nodes look for it:
 IceGrid.Registry.Client.Endpoints={endpoint("locator")}
+# Nobody is answered who looks for a registry by multicast, which would be a port without TLS:
+IceGrid.Registry.Discovery.Enabled=0
 # Where servers that IceGrid starts could register themselves; those of Axon do not:
 IceGrid.Registry.Server.Endpoints={endpoint("servers")}
 # Where nodes come:
@@ -556,7 +562,7 @@ START = """\
 #!/bin/sh
 # sh start.sh NAME COMMAND: what IceGrid's node runs in place of a program. It writes down which process this is, of which
 # boot, and where its part of the log begins, and then becomes the program. What IceGrid adds to the words is not used.
-set -e
+set -ef
 { cat /proc/$$/stat /proc/sys/kernel/random/boot_id; touch "log/$1.log"; stat -c %s "log/$1.log"; } >"run/$1.new"
 mv "run/$1.new" "run/$1"
 exec $2 >>"log/$1.log" 2>&1
