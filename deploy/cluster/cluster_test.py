@@ -72,9 +72,9 @@ class Configuration(unittest.TestCase):
             _, first, second = configuration.read_property(files[file], "Ice.Default.Router").split(":")
             for name, endpoint in ((router, first), (f"{router}2", second)):
                 own = files[configuration.router_file(name)]
-                self.assertEqual(configuration.read_property(own, "Glacier2.Client.Endpoints"), endpoint)
+                self.assertEqual(configuration.read_property(own, "Glacier2.Client.Endpoints"), f"{endpoint} -t 4000")
                 self.assertTrue(endpoint.endswith(f"-p {plan.port(name, whom)}"))
-                self.assertTrue(configuration.read_property(own, "Glacier2.Server.Endpoints").endswith(f"-p {plan.port(name, 'callbacks')}"))
+                self.assertTrue(configuration.read_property(own, "Glacier2.Server.Endpoints").endswith(f"-p {plan.port(name, 'callbacks')} -t 4000"))
         one, other = files["glacier2clients.cfg"], files["glacier2clients-2.cfg"]
         self.assertEqual(configuration.read_property(one, "Glacier2.SessionManager"), configuration.read_property(other, "Glacier2.SessionManager"))
         with self.assertRaisesRegex(Misconfigured, "--routers 3: expected 1 to 2"):

@@ -288,22 +288,24 @@ IceStorm.Election.ResponseTimeout=2
 """
 
 
+TRIED_MS, SILENT_S = 300, 4  # of a router
 MESSAGE_SIZE_MAX = 4096  # src/transport/ice/communicator.hpp
 
 
 def glacier2(plan, name, instance, whom, servers):
     def proxies(identity):
-        return f"{identity}:" + ":".join(inner(plan, server_name, "router") for server_name in servers)
+        return f"{identity}:" + ":".join(f"{inner(plan, server_name, 'router')} -t {TRIED_MS}" for server_name in servers)
     server_kind = "front-end" if whom == "clients" else "entity"
     return f"""\
 # Glacier2, the router to which {whom} connect:  glacier2router --Ice.Config=THIS FILE
 # The first part of its name; {whom} use {instance}/router:
 Glacier2.InstanceName={instance}
 # Where {whom} connect. The only port of this file that a firewall has to let in:
-Glacier2.Client.Endpoints={public(plan, name, whom)}
+Glacier2.Client.Endpoints={public(plan, name, whom)} -t {1000 * SILENT_S}
 # Where the {server_kind} servers send messages for {whom}; internal:
-Glacier2.Server.Endpoints={inner(plan, name, "callbacks")}
-# The {server_kind} servers, which verify passwords and make sessions; one that is running is chosen:
+Glacier2.Server.Endpoints={inner(plan, name, "callbacks")} -t {1000 * SILENT_S}
+# The {server_kind} servers, which verify passwords and make sessions. One that answers a new connection within -t
+# milliseconds is chosen:
 Glacier2.PermissionsVerifier={proxies("PermissionsVerifier")}
 Glacier2.SessionManager={proxies("SessionManager")}
 # Choose another server each time, so that the sessions are spread over them:
@@ -311,10 +313,10 @@ Glacier2.PermissionsVerifier.ConnectionCached=0
 Glacier2.SessionManager.ConnectionCached=0
 {router_tls(plan, proxies, name) if plan.tls else ""}# A client of the router can call its own session and nothing else:
 Glacier2.Filter.Identity.Accept={instance}/none
-# Seconds of silence after which a connection and its session end, which is also how long a log-in may take. The servers'
-# watchdogs are much faster:
-Glacier2.SessionTimeout=4
-Glacier2.Client.ACM.Timeout=4
+# Seconds of silence after which a connection and its session end, which is also how long a log-in may take, and a step of
+# the TLS handshake (-t above). The servers' watchdogs are much faster:
+Glacier2.SessionTimeout={SILENT_S}
+Glacier2.Client.ACM.Timeout={SILENT_S}
 Glacier2.Client.ACM.Heartbeat=0
 Glacier2.Client.ACM.Close=4
 # The thread that reads a message also passes it on, at once:
@@ -337,9 +339,6 @@ Ice.ThreadPool.Server.Serialize=1
 Ice.ACM.Client.Timeout=1
 Ice.ACM.Client.Close=2
 Ice.ACM.Client.Heartbeat=0
-# The same after half a second without an answer to a new connection; so long may also each step take of the TLS handshake
-# between this router and {whom}:
-Ice.Override.ConnectTimeout=500
 # Tries to reach a server, in milliseconds after one that failed:
 Ice.RetryIntervals=0 200 500
 Ice.Warn.Connections=0
