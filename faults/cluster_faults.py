@@ -45,7 +45,7 @@ USABLE_S = 5.0
 REQUEST_S = 2  # so long a request of the client may take: it is tried again
 STALL_MS = 50
 LONG_S = 3600
-FROZEN_S = 3.0  # longer than any time-out of a session
+FROZEN_S = 6.0  # longer than any time-out of a session
 HARMS = {"kill": "kills", "lose": "kills, and does not start again,", "freeze": "freezes"}
 Kind = collections.namedtuple("Kind", "victim harm promise")
 CLIENT_ROUTER, ENTITY_ROUTER, FRONT_END, ENTITY_SERVER = (
@@ -89,6 +89,19 @@ class HostProbe(threading.Thread):
         return sum(max(0.0, min(end, b) - max(begin, a)) for a, b in self.stalls) * 1000
 
 
+def is_connected(pid, port):
+    """Whether process `pid` has a connection to that port of this machine."""
+    sockets = set()
+    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            sockets.add(os.readlink(descriptor))
+        except OSError:  # closed meanwhile
+            continue
+    lines = pathlib.Path(f"/proc/{pid}/net/tcp").read_text().splitlines()[1:]
+    return any(int(fields[2].rpartition(":")[2], 16) == port and fields[3] == "01" and f"socket:[{fields[9]}]" in sockets
+               for fields in map(str.split, lines))
+
+
 class Robot:
     """A hello-entity application: it prints a line when its stop callback is called, and that moment is noted."""
 
@@ -107,7 +120,7 @@ class Robot:
                                                 start_new_session=True)
         threading.Thread(target=self.listen, daemon=True).start()
         lab.ports = f"{low}-{low + 3}"
-        lab.start_manager("", "--state", folder / "state")
+        self.manager = lab.start_manager("", "--state", folder / "state")
         self.task = None
 
     def listen(self):
@@ -231,13 +244,23 @@ class Run:
         beginning = {CLIENT_ROUTER: "client-router", ENTITY_ROUTER: "entity-router", FRONT_END: "fe", ENTITY_SERVER: "es"}
         return self.lab.server.names(beginning.get(kind.victim, kind.victim))
 
+    def who_must_stop(self, kind, victim):
+        """The names of the robots whose connection to the client certainly goes through that program."""
+        port = next((int(at.rpartition(":")[2]) for program in self.lab.server.status["programs"] if program["name"] == victim
+                     for what, at in program["ports"].items() if what in ("clients", "entities")), None)
+        if kind.victim == CLIENT_ROUTER:
+            _, lines, _ = self.lab.axon("agent", "status")
+            return set(self.names) if is_connected(next(line["pid"] for line in lines if "pid" in line), port) else set()
+        if kind.victim == ENTITY_ROUTER:
+            return {robot.name for robot in self.robots if is_connected(robot.manager.child.pid, port)}
+        return set(self.names) if kind.victim == FRONT_END else set()
+
     def trial(self, kind, report):
         self.prepare()
         candidates = self.candidates(kind)
         replaceable = len(candidates) > 1
-        # Every robot loses the client or its server.
-        everybody = kind.victim == FRONT_END or kind.victim in (CLIENT_ROUTER, ENTITY_ROUTER) and not replaceable
         victim = self.lab.entities()[0]["holder_id"].split(":")[0] if kind.victim == FRONT_END else self.random.choice(candidates)
+        must = self.who_must_stop(kind, victim)
         record = json.loads((self.lab.server.folder / "running.json").read_text())[victim]
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
         begin = time.monotonic()
@@ -246,7 +269,7 @@ class Run:
         else:
             processes.strike(record, signal.SIGKILL, 5.0)
         try:
-            self.judge_stops(victim, begin, everybody, report)
+            self.judge_stops(victim, begin, must, report)
             if kind.harm == "kill":
                 back = time.monotonic()
                 self.lab.server.do("restart", victim)
@@ -271,12 +294,12 @@ class Run:
             robot.task.end()
         return victim
 
-    def judge_stops(self, victim, begin, everybody, report):
-        def all_stopped():
-            return all(robot.first_stop(begin) for robot in self.robots)
-        patience = begin + STOP_MS / 1000 + (PATIENCE_S if everybody else 0.05)
-        while not all_stopped() and time.monotonic() < patience:
-            time.sleep(0.002)
+    def judge_stops(self, victim, begin, must, report):
+        def wait_for(names, until):
+            while not all(robot.first_stop(begin) for robot in self.robots if robot.name in names) and time.monotonic() < until:
+                time.sleep(0.002)
+        wait_for(self.names, begin + STOP_MS / 1000 + 0.05)
+        wait_for(must, begin + STOP_MS / 1000 + PATIENCE_S)
         for robot in self.robots:
             stop = robot.first_stop(begin)
             if stop:
@@ -289,12 +312,10 @@ class Run:
                         report.late_beside_stall += 1
                     else:
                         report.violation(f"{robot.name} stopped {ms:.0f} ms after {victim} was harmed")
-            elif everybody:
+            elif robot.name in must:
                 report.never += 1
                 report.violation(f"{robot.name} did not stop after {victim} was harmed")
-        if everybody:
-            return
-        going = [robot.name for robot in self.robots if not robot.first_stop(begin)]
+        going = [robot.name for robot in self.robots if robot.name not in must and not robot.first_stop(begin)]
         if not going:
             return
         status, lines, errors = self.lab.axon("drill", *going, "--count", "1", env=self.other)

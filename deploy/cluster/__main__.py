@@ -149,7 +149,12 @@ def several_machines(options, programs):
 3. {registry:<26} systemctl enable --now axon-icegridregistry
 4. Every machine              systemctl enable --now axon-icegridnode
 5. {registry:<26} icegridadmin --Ice.Config={options.at}/icegridadmin.cfg -e 'application add {options.at}/icegrid.xml'
-6. Clients, Entity Managers   the files of {options.to}/{hosts.PEOPLE}; set IceSSL.DefaultDir in them to the folder of their certificates""")
+6. Clients, Entity Managers   the files of {options.to}/{hosts.FOR_CLIENTS} and {options.to}/{hosts.FOR_ENTITIES}; set IceSSL.DefaultDir in
+                              them to the folder of their certificates""")
+    if (options.at, options.user) != (hosts.FOLDER, hosts.ACCOUNT):
+        print(f"""
+The units of the packages are for {hosts.FOLDER} and the user {hosts.ACCOUNT}. Instead of 3 and 4, start as {options.user} in {options.at}:
+   icegridregistry --Ice.Config=icegridregistry.cfg        icegridnode --Ice.Config=icegridnode.cfg""")
     return 0
 
 

@@ -110,7 +110,7 @@ def configure(axon_programs, hosts_file, target, base_port, account, folder):
     for file in target.glob("users.cfg*"):
         file.unlink()
     texts = hosts.files(plan, passwords, users, configuration.Place(descriptor(), hosts.PROGRAMS, account))
-    for name in [*plan.machines(), hosts.PEOPLE, *hosts.folders(plan)]:
+    for name in [*plan.machines(), hosts.FOR_CLIENTS, hosts.FOR_ENTITIES, *hosts.folders(plan)]:
         (target / name).mkdir(mode=0o700)
     for name, text in texts.items():
         write_private(target / name, text)
@@ -306,9 +306,10 @@ class Cluster:
             before = self.records()
             of_node = [program for program in all_of_them if program.by_node]
             self.refuse_orphans(of_node, before)
-            for program in of_node:  # before the node, which starts them as soon as it is there
-                if not processes.runs(before.get(program.name)):
-                    self.check_ports(program)
+            if not processes.runs(before.get("icegridnode")):  # which starts them as soon as it is there
+                for program in of_node:
+                    if not processes.runs(before.get(program.name)):
+                        self.check_ports(program)
             for wave in self.waves([program for program in all_of_them if not program.by_node]):
                 fresh = []
                 for program in wave:
@@ -486,9 +487,9 @@ class Cluster:
             if program.by_node:
                 self.restart_by_node(name)
             else:
+                self.strike(name, self.end_node if name == "icegridnode" else self.end)
                 if name == "icegridnode":
                     self.refuse_orphans(configuration.programs(plan), self.records())
-                self.strike(name, self.end)
                 self.start(program)
             self.wait_until_ready(plan, program, GRID_READY_S if program.by_node else READY_S)
 
@@ -513,11 +514,15 @@ class Cluster:
             running = [name for name in reversed(names) if processes.runs(before.get(name))]
             # First the node, which ends its programs, and would start again what is ended without it.
             for name in sorted(reversed(names), key=lambda name: name != "icegridnode"):
-                self.strike(name, self.end)
+                self.strike(name, self.end_node if name == "icegridnode" else self.end)
             return running
 
     @staticmethod
     def end(its):
+        return processes.end(its)
+
+    @staticmethod
+    def end_node(its):
         return processes.end(its, NODE_ENDS_S)
 
     def strike(self, name, how):

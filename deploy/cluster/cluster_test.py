@@ -72,9 +72,9 @@ class Configuration(unittest.TestCase):
             _, first, second = configuration.read_property(files[file], "Ice.Default.Router").split(":")
             for name, endpoint in ((router, first), (f"{router}2", second)):
                 own = files[configuration.router_file(name)]
-                self.assertEqual(configuration.read_property(own, "Glacier2.Client.Endpoints"), endpoint)
+                self.assertEqual(configuration.read_property(own, "Glacier2.Client.Endpoints"), f"{endpoint} -t 4000")
                 self.assertTrue(endpoint.endswith(f"-p {plan.port(name, whom)}"))
-                self.assertTrue(configuration.read_property(own, "Glacier2.Server.Endpoints").endswith(f"-p {plan.port(name, 'callbacks')}"))
+                self.assertTrue(configuration.read_property(own, "Glacier2.Server.Endpoints").endswith(f"-p {plan.port(name, 'callbacks')} -t 4000"))
         one, other = files["glacier2clients.cfg"], files["glacier2clients-2.cfg"]
         self.assertEqual(configuration.read_property(one, "Glacier2.SessionManager"), configuration.read_property(other, "Glacier2.SessionManager"))
         with self.assertRaisesRegex(Misconfigured, "--routers 3: expected 1 to 2"):
@@ -276,8 +276,8 @@ class SeveralMachines(unittest.TestCase):
         self.assertEqual(sorted(name for name in self.files if name.startswith("hall.example/")), sorted(f"hall.example/{name}" for name in (
             "icegridnode.cfg", "start.sh", "icebox-3.cfg", "icestorm-3.cfg", "entityserver-1.cfg", "glacier2entities.cfg", "users.cfg")))
         self.assertIn("lab.example/icegridregistry.cfg", self.files)
-        self.assertEqual(sorted(name for name in self.files if "/" not in name or name.startswith(hosts.PEOPLE)),
-                         ["certificates.sh", f"{hosts.PEOPLE}/client.cfg", f"{hosts.PEOPLE}/entitygl2client.cfg"])
+        self.assertEqual(sorted(name for name in self.files if "/" not in name or name.startswith("for_")),
+                         ["certificates.sh", "for_clients/client.cfg", "for_entities/entitygl2client.cfg"])
         for machine in ("lab.example", "hall.example"):
             self.assertEqual(self.files[f"{machine}/users.cfg"], "the users\n")
             self.assertIn(f"{machine}/db/icegridnode", hosts.folders(self.plan))
@@ -294,8 +294,8 @@ class SeveralMachines(unittest.TestCase):
         self.assertEqual(self.value("hall.example/icegridnode.cfg", "IceGrid.Node.Name"), "hall.example")
         self.assertIn("ssl -h hall.example", self.value("hall.example/icegridnode.cfg", "IceGrid.Node.Endpoints"))
         self.assertIn("/Locator:ssl -h lab.example", self.value("hall.example/icegridnode.cfg", "Ice.Default.Locator"))
-        self.assertIn("ssl -h hall.example", self.value(f"{hosts.PEOPLE}/entitygl2client.cfg", "Ice.Default.Router"))
-        self.assertIn("ssl -h lab.example", self.value(f"{hosts.PEOPLE}/client.cfg", "Ice.Default.Router"))
+        self.assertIn("ssl -h hall.example", self.value("for_entities/entitygl2client.cfg", "Ice.Default.Router"))
+        self.assertIn("ssl -h lab.example", self.value("for_clients/client.cfg", "Ice.Default.Router"))
 
     def test_every_certificate_that_a_file_names_is_issued_for_its_machine_and_given_to_it(self):
         orders = [line.split() for line in self.files["certificates.sh"].splitlines()]
@@ -309,6 +309,58 @@ class SeveralMachines(unittest.TestCase):
                 wanted.add((name.partition("/")[0], file.removesuffix(".cert.pem")))
         self.assertEqual(given, wanted)
         self.assertEqual({stem for _, stem in given}, set(issued))
+        self.assertEqual([stem for folder, stem in given if folder == "for_entities"], ["entity-entity"], "no robot is a person")
+
+    def certify(self, folder, *words, **environment):
+        """Carries certificates.sh out there with a stand-in for axon: its orders, or what was said of the refusal."""
+        (folder / "bin").mkdir(exist_ok=True)
+        (folder / "bin/axon").write_text('''#!/bin/sh
+echo "$*" >>"$ORDERS"
+case "$2" in init) mkdir -p "$4" && : >"$4/ca.cert.pem" ;; esac
+while read -r stem; do : >"$CERTS/$stem.cert.pem"; : >"$CERTS/$stem.key.pem"; done <"$STEMS"
+''')
+        (folder / "bin/axon").chmod(0o755)
+        (folder / "out").mkdir(exist_ok=True)
+        (folder / "out/certificates.sh").write_text(hosts.certificates(self.plan))
+        (folder / "stems").write_text("".join(f"{configuration.certificate_of(self.plan, one)}\n" for one in configuration.certificates(self.plan)))
+        (folder / "orders").write_text("")
+        done = subprocess.run(["sh", "out/certificates.sh", *words], cwd=folder, capture_output=True, text=True, check=False, env={
+            "PATH": f"{folder}/bin:{os.environ['PATH']}", "ORDERS": str(folder / "orders"), "STEMS": str(folder / "stems"),
+            "CERTS": str(folder / "certs"), "XDG_CONFIG_HOME": str(folder / "config"), **environment})
+        return (folder / "orders").read_text().splitlines() if done.returncode == 0 else done.stderr
+
+    def test_certificates_are_issued_once_and_again_for_a_program_that_has_moved(self):
+        folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory()))
+        self.assertRegex(self.certify(folder, "certs"), "fix: name the folder of the CA")
+        (folder / "certs").mkdir()
+        self.assertRegex(self.certify(folder, "certs"), "has no CA")
+        (folder / "certs/ca.cert.pem").write_text("")
+        everything = len(configuration.certificates(self.plan))
+        self.assertEqual(len(set(self.certify(folder, "certs"))), len(set(configuration.certificate_of(self.plan, one)
+                                                                         for one in configuration.certificates(self.plan))), "a relative path")
+        self.assertGreater(everything, 5)
+        self.assertEqual(self.certify(folder, "certs"), [])
+        self.plan = hosts.read(HOSTS.replace(" fe2", "").replace("es1", "es1 fe2"), "hosts.txt")
+        (order,) = self.certify(folder, "certs")
+        self.assertRegex(order, "--force --front-end fe2 hall.example$")
+        self.assertGreater(len(self.certify(folder, "certs", RENEW="1")), 5)
+        self.assertEqual(sorted(one.name for one in (folder / "out/for_entities/certs").iterdir()),
+                         ["ca.cert.pem", "entity-entity.cert.pem", "entity-entity.key.pem"])
+        orders = self.certify(folder, CERTS=str(folder / "config/axon/certs"))
+        self.assertEqual(orders[0], f"certs init --folder {folder}/config/axon/certs", "as axon certs has it")
+
+    def test_the_second_routers_may_be_on_another_machine(self):
+        plan = hosts.read(HOSTS.replace("es1", "es1 client-router2").replace("fe1", "fe1 entity-router2"), "hosts.txt")
+        files = hosts.files(plan, PASSWORDS, "the users\n", PLACE)
+        router = configuration.read_property(files["for_clients/client.cfg"], "Ice.Default.Router")
+        self.assertEqual(re.findall("-h (\\S+)", router), ["lab.example", "hall.example"])
+        self.assertIn("glacier2clients-2.cfg", {name.partition("/")[2] for name in files if name.startswith("hall.example/")})
+        self.assertIn("glacier2entities-2.cfg", {name.partition("/")[2] for name in files if name.startswith("lab.example/")})
+
+    def test_every_server_keeps_an_audit_trail_in_the_folder(self):
+        for file in ("lab.example/frontendserver-1.cfg", "hall.example/entityserver-1.cfg"):
+            self.assertEqual(self.value(file, "Axon.Audit.Folder"), f"{self.plan.folder}/audit")
+        self.assertIn("hall.example/audit", hosts.folders(self.plan))
 
     def test_each_node_starts_what_the_file_says(self):
         application = ElementTree.fromstring(self.files["lab.example/icegrid.xml"]).find("application")
@@ -351,19 +403,26 @@ class SeveralMachines(unittest.TestCase):
     def test_what_is_missing_is_named(self):
         for text, said in (("", "no machine runs icegridregistry"), (HOSTS.replace("client-router", ""), "no machine runs client-router"),
                            (HOSTS.replace("icestorm3", ""), "no machine runs icestorm3"), (HOSTS.replace("es1", ""), "no machine runs es1"),
-                           (HOSTS.replace("fe1", ""), "no machine runs fe1; expected fe1 to fe2"), ("#" * 70000, "at most 65536")):
+                           (HOSTS.replace("fe1", ""), "no machine runs fe1; expected fe1 to fe2"),
+                           (HOSTS.replace("fe1", "fe1 client-router2"), "client-router2 without entity-router2"), ("#" * 70000, "at most 65536")):
             with self.assertRaises(Misconfigured, msg=said) as raised:
                 hosts.read(text, "hosts.txt")
+            self.assertIn(said, str(raised.exception))
+            self.assertIn("; fix: ", str(raised.exception))
+
+    def test_ports_and_folders_that_cannot_be_are_refused(self):
+        for where, base_port, said in (("/srv/axon", 0, "free on this machine"), ("srv", 20000, "absolute path"), ("/a b", 20000, "without blanks"),
+                                       ("/srv/axon", 80, "1024")):
+            with self.assertRaises(Misconfigured, msg=said) as raised:
+                hosts.read(HOSTS, "hosts.txt", where, base_port)
             self.assertIn(said, str(raised.exception))
             self.assertIn("; fix: ", str(raised.exception))
 
     def test_other_ports_and_folders_are_those_of_every_file(self):
         plan = hosts.read(HOSTS, "hosts.txt", "/srv/axon", 20000)
         files = hosts.files(plan, PASSWORDS, "", PLACE)
-        self.assertIn("-p 20002", configuration.read_property(files[f"{hosts.PEOPLE}/client.cfg"], "Ice.Default.Router"))
+        self.assertIn("-p 20002", configuration.read_property(files["for_clients/client.cfg"], "Ice.Default.Router"))
         self.assertEqual([name for name, text in files.items() if "/var/lib" in text], [])
-        with self.assertRaisesRegex(Misconfigured, "1024"):
-            hosts.read(HOSTS, "hosts.txt", base_port=0)
 
 
 class Folder(unittest.TestCase):
@@ -559,7 +618,7 @@ class Folder(unittest.TestCase):
         for path in target.rglob("*"):
             self.assertEqual(path.stat().st_mode & 0o077, 0, path)
         self.assertEqual(sorted(path.name for path in target.iterdir()),
-                         ["certificates.sh", hosts.PEOPLE, "hall.example", "lab.example"])
+                         ["certificates.sh", "for_clients", "for_entities", "hall.example", "lab.example"])
         self.assertEqual([line.split()[0] for line in (target / "lab.example/users.cfg").read_text().splitlines()], ["admin", "entity"])
         self.assertIn('name="user" value="somebody"', (target / "lab.example/icegrid.xml").read_text())
         code, said = configure()

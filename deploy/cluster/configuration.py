@@ -34,6 +34,7 @@ class Plan:
     listen: str = LOOPBACK  # where the two routers listen; everything else is on loopback
     tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
     grid: bool | None = None  # IceGrid starts the programs, and there are several IceStorms
+    audited: bool | None = None  # servers keep an audit trail
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
@@ -151,6 +152,8 @@ WHOM = {"client": "clients", "entity": "entities"}  # of a router
 def folders(plan, names):
     """Of these programs, below the cluster's own, each after that in which it lies."""
     found = ["log", "globalservices"]
+    if plan.audited:
+        found.append("audit")
     if plan.grid:
         found += ["run", "db", *(f"db/{name.partition('@')[0]}" for name in names if name.startswith("ice"))]
     return found
@@ -285,22 +288,24 @@ IceStorm.Election.ResponseTimeout=2
 """
 
 
+TRIED_MS, SILENT_S = 300, 4  # of a router
 MESSAGE_SIZE_MAX = 4096  # src/transport/ice/communicator.hpp
 
 
 def glacier2(plan, name, instance, whom, servers):
     def proxies(identity):
-        return f"{identity}:" + ":".join(inner(plan, server_name, "router") for server_name in servers)
+        return f"{identity}:" + ":".join(f"{inner(plan, server_name, 'router')} -t {TRIED_MS}" for server_name in servers)
     server_kind = "front-end" if whom == "clients" else "entity"
     return f"""\
 # Glacier2, the router to which {whom} connect:  glacier2router --Ice.Config=THIS FILE
 # The first part of its name; {whom} use {instance}/router:
 Glacier2.InstanceName={instance}
 # Where {whom} connect. The only port of this file that a firewall has to let in:
-Glacier2.Client.Endpoints={public(plan, name, whom)}
+Glacier2.Client.Endpoints={public(plan, name, whom)} -t {1000 * SILENT_S}
 # Where the {server_kind} servers send messages for {whom}; internal:
-Glacier2.Server.Endpoints={inner(plan, name, "callbacks")}
-# The {server_kind} servers, which verify passwords and make sessions; one that is running is chosen:
+Glacier2.Server.Endpoints={inner(plan, name, "callbacks")} -t {1000 * SILENT_S}
+# The {server_kind} servers, which verify passwords and make sessions. One that answers a new connection within -t
+# milliseconds is chosen:
 Glacier2.PermissionsVerifier={proxies("PermissionsVerifier")}
 Glacier2.SessionManager={proxies("SessionManager")}
 # Choose another server each time, so that the sessions are spread over them:
@@ -308,10 +313,10 @@ Glacier2.PermissionsVerifier.ConnectionCached=0
 Glacier2.SessionManager.ConnectionCached=0
 {router_tls(plan, proxies, name) if plan.tls else ""}# A client of the router can call its own session and nothing else:
 Glacier2.Filter.Identity.Accept={instance}/none
-# Seconds of silence after which a connection and its session end, which is also how long a log-in may take. The servers'
-# watchdogs are much faster:
-Glacier2.SessionTimeout=4
-Glacier2.Client.ACM.Timeout=4
+# Seconds of silence after which a connection and its session end, which is also how long a log-in may take, and a step of
+# the TLS handshake (-t above). The servers' watchdogs are much faster:
+Glacier2.SessionTimeout={SILENT_S}
+Glacier2.Client.ACM.Timeout={SILENT_S}
 Glacier2.Client.ACM.Heartbeat=0
 Glacier2.Client.ACM.Close=4
 # The thread that reads a message also passes it on, at once:
@@ -330,12 +335,10 @@ Ice.ThreadPool.Server.Size=4
 Ice.ThreadPool.Server.SizeMax=16
 Ice.ThreadPool.Server.Serialize=1
 # The connections to the servers last as long as their sessions. A server that stands still is given up, so that another
-# one is chosen: after a second without a sign of life in a call, or 0.3 s without an answer to a new connection.
-# (Heartbeats of the router's own would count as such signs.)
+# one is chosen: after a second without a sign of life in a call. (Heartbeats of the router's own would count as such.)
 Ice.ACM.Client.Timeout=1
 Ice.ACM.Client.Close=2
 Ice.ACM.Client.Heartbeat=0
-Ice.Override.ConnectTimeout=300
 # Tries to reach a server, in milliseconds after one that failed:
 Ice.RetryIntervals=0 200 500
 Ice.Warn.Connections=0
@@ -367,7 +370,7 @@ Server.Name={name}
 Server.TopicManager={topic_manager(plan)}
 # Who may log in:
 Server.Users={plan.folder}/users.cfg
-""" + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
+""" + (f"# Who did what is recorded here (docs/reference/audit.md):\nAxon.Audit.Folder={plan.folder}/audit\n" if plan.audited else "") + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
        f"Server.GlobalServices={plan.folder}/globalservices\n" if front_end else "") + (
         f"# The other servers of its kind, to which requests for their sessions are passed on:\n{peers}" if peers else "") + (
         tls(plan, certificate_of(plan, name)) if plan.tls else "")
@@ -492,6 +495,8 @@ def grid_registry(plan):
 IceGrid.InstanceName={GRID_INSTANCE}
 # Where icegridadmin and nodes look for it:
 IceGrid.Registry.Client.Endpoints={endpoint("locator")}
+# Nobody is answered who looks for a registry by multicast, which would be a port without TLS:
+IceGrid.Registry.Discovery.Enabled=0
 # Where servers that IceGrid starts could register themselves; those of Axon do not:
 IceGrid.Registry.Server.Endpoints={endpoint("servers")}
 # Where nodes come:
@@ -556,7 +561,7 @@ START = """\
 #!/bin/sh
 # sh start.sh NAME COMMAND: what IceGrid's node runs in place of a program. It writes down which process this is, of which
 # boot, and where its part of the log begins, and then becomes the program. What IceGrid adds to the words is not used.
-set -e
+set -ef
 { cat /proc/$$/stat /proc/sys/kernel/random/boot_id; touch "log/$1.log"; stat -c %s "log/$1.log"; } >"run/$1.new"
 mv "run/$1.new" "run/$1"
 exec $2 >>"log/$1.log" 2>&1

@@ -16,12 +16,13 @@ SIZE_MAX = 65536
 FOLDER = pathlib.Path("/var/lib/axon-cluster")  # of the units in deploy/systemd
 PROGRAMS = pathlib.Path("/usr/bin")
 ACCOUNT = "axon"
-PEOPLE = "clients_and_entities"  # the folder of their files; no machine can have that name
+FOR_CLIENTS, FOR_ENTITIES = "for_clients", "for_entities"  # the folders of their files; no machine can have these names
 OF_MACHINE = "@"  # icegridnode@lab.example is the node there
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?")
 NAME_MAX = 64  # of the CN of a certificate
 NUMBERED = re.compile(r"(fe|es|icestorm)([1-9])")
 ALONE = ("icegridregistry", "client-router", "entity-router")
+SECOND_ROUTERS = ("client-router2", "entity-router2")  # both or none
 EXAMPLE = """\
     lab.example:  icegridregistry icestorm1 icestorm2 fe1 client-router
     hall.example: icestorm3 es1 entity-router"""
@@ -76,8 +77,8 @@ def read(text, where, folder=FOLDER, base_port=configuration.BASE_PORT):
             wrong(number, f"{shown(machine)} is also in line {machines[machine.lower()]}", "write all its programs into one line")
         machines[machine.lower()] = number
         for name in names.split():
-            if name not in ALONE and not NUMBERED.fullmatch(name):
-                wrong(number, f"there is no program '{shown(name)}'; expected {', '.join(ALONE)}, icestorm1 to "
+            if name not in ALONE + SECOND_ROUTERS and not NUMBERED.fullmatch(name):
+                wrong(number, f"there is no program '{shown(name)}'; expected {', '.join(ALONE + SECOND_ROUTERS)}, icestorm1 to "
                       f"icestorm{STORM_REPLICAS}, fe1 to fe{SERVERS_MAX} or es1 to es{SERVERS_MAX}", "correct the name")
             if name in places:
                 wrong(number, f"{name} runs on {places[name]} already (line {lines[name]})", "name it once")
@@ -97,8 +98,15 @@ def read(text, where, folder=FOLDER, base_port=configuration.BASE_PORT):
         for n in numbers:
             if n > wanted:
                 wrong(lines[f"{kind}{n}"], f"{kind}{n}: expected {kind}1 to {kind}{wanted}", "delete it")
+    for one, other in (SECOND_ROUTERS, SECOND_ROUTERS[::-1]):
+        if one in places and other not in places:
+            wrong(lines[one], f"{one} without {other}; expected both, or none of them", f"add {other} to the line of one machine")
+    if base_port == 0:
+        wrong(0, "--base-port 0 means ports that are free on this machine", "name the first of 200 ports that are free on all machines")
+    if not pathlib.Path(folder).is_absolute() or any(c.isspace() for c in str(folder)):
+        raise Misconfigured(f"--at '{folder}': expected an absolute path without blanks, because it is written into the files; fix: as --at {FOLDER}")
     plan = Spread(folder=pathlib.Path(folder), front_ends=len(counts["fe"]), entity_servers=len(counts["es"]), base_port=base_port,
-                  tls=True, grid=True, places=tuple(places.items()))
+                  routers=2 if SECOND_ROUTERS[0] in places else 1, tls=True, grid=True, audited=True, places=tuple(places.items()))
     plan.check()
     return plan
 
@@ -132,8 +140,8 @@ def files(plan, passwords, users, place):
         texts["icegridnode.cfg"] = configuration.grid_node(plan, place.user == "root", machine, node)
         texts["users.cfg"] = users
         found |= {f"{machine}/{name}": text for name, text in texts.items()}
-    found[f"{PEOPLE}/client.cfg"] = everything["client.cfg"]
-    found[f"{PEOPLE}/entitygl2client.cfg"] = everything["entitygl2client.cfg"]
+    found[f"{FOR_CLIENTS}/client.cfg"] = everything["client.cfg"]
+    found[f"{FOR_ENTITIES}/entitygl2client.cfg"] = everything["entitygl2client.cfg"]
     found["certificates.sh"] = certificates(plan)
     return found
 
@@ -155,23 +163,32 @@ def certificates(plan):
     for program, (kind, names) in wanted.items():
         stem = configuration.certificate_of(plan, program)
         lines[stem] = f"issue {stem} --{kind} {' '.join(map(shlex.quote, names))}"
-        folder = PEOPLE if program in ("client", ENTITY) else plan.host(program)
+        # A robot's computer gets no certificate of a person: it would be that person.
+        folder = {"client": FOR_CLIENTS, ENTITY: FOR_ENTITIES}.get(program) or plan.host(program)
         copies.setdefault(folder, {})[stem] = f"give {folder} {stem}"
     text = "".join(f"{line}\n" for line in lines.values())
     text += "".join(f"{line}\n" for those in copies.values() for line in those.values())
     return f"""\
 #!/bin/sh
-# sh certificates.sh [CERTS]: on the machine with the laboratory's CA, issues the certificates that are not there yet, and
-# copies to the folder of each machine those that it needs. CERTS is the folder of the CA (~/.config/axon/certs).
+# sh certificates.sh [CERTS]: on the machine with the laboratory's CA, issues the certificates that are not there yet or
+# are for other machines, and copies to the folder of each machine those that it needs. CERTS is the folder of the CA
+# (~/.config/axon/certs). RENEW=1 sh certificates.sh: issues all of them again.
 set -eu
-certs=${{1:-$HOME/.config/axon/certs}}
-cd "$(dirname "$0")"
 umask 077
-[ -e "$certs/ca.cert.pem" ] || axon certs init --folder "$certs"
+if [ $# -gt 0 ]; then
+    certs=$(cd "$1" && pwd) || {{ echo "fix: name the folder of the CA, or make one: axon certs init --folder $1" >&2; exit 2; }}
+    [ -e "$certs/ca.cert.pem" ] || {{ echo "$certs has no CA (ca.cert.pem); fix: name its folder, or make one: axon certs init --folder $certs" >&2; exit 2; }}
+else
+    certs=${{XDG_CONFIG_HOME:-$HOME/.config}}/axon/certs
+    [ -e "$certs/ca.cert.pem" ] || axon certs init --folder "$certs"
+fi
+cd "$(dirname "$0")"
 issue() {{
     stem=$1
     shift
-    [ -e "$certs/$stem.cert.pem" ] || axon certs issue --folder "$certs" "$@"
+    [ -z "${{RENEW:-}}" ] && [ -e "$certs/$stem.cert.pem" ] && [ "$(cat "$certs/$stem.for" 2>/dev/null)" = "$*" ] && return
+    axon certs issue --folder "$certs" --force "$@"
+    echo "$*" >"$certs/$stem.for"
 }}
 give() {{
     mkdir -p "$1/certs"

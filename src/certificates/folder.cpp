@@ -271,10 +271,10 @@ std::string configuration(const Request& request, const std::string& stem, const
         case Kind::Router:
             text = "# The certificate of the router " + name +
                    ": glacier2router --Ice.Config=FILE,…\n"
-                   "# Only servers are called, and only servers send messages for those who connect. Before "
-                   "several servers\n"
-                   "# leave in both lines the kind of those behind this router: front-end before clients,\n"
-                   "# entity-server before Entity Managers.\n"
+                   "# Only servers are called, and only servers send messages for those who connect.\n"
+                   "# If there are several servers, keep in both lines only the kind of those behind this "
+                   "router:\n"
+                   "# front-end for one of clients, entity-server for one of Entity Managers.\n"
                    "IceSSL.TrustOnly.Client=OU=server,O=Axon;OU=front-end,O=Axon;OU=entity-server,O=Axon\n"
                    "IceSSL.TrustOnly.Server.Glacier2.Server=OU=server,O=Axon;OU=front-end,O=Axon;"
                    "OU=entity-server,O=Axon\n";

@@ -617,9 +617,10 @@ std::vector<std::string> EntityServerCore::margins() const {
 }
 
 std::shared_ptr<const std::string> EntityServerCore::serverOf(const std::string& entity, Lane lane) const {
-    if (auto at = elsewhere_.serverOf(entity, lane)) return at;
-    if (!table_.find(entity, index(lane))) return nullptr;
-    return {std::shared_ptr<const void>(), &settings_.name};  // which lives as long as this object
+    // First this server's own: another one that announces one of them is not believed.
+    if (table_.find(entity, index(lane)))
+        return {std::shared_ptr<const void>(), &settings_.name};  // which lives as long as this object
+    return elsewhere_.serverOf(entity, lane);
 }
 
 std::size_t EntityServerCore::entities() const {

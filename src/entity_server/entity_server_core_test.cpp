@@ -1092,6 +1092,8 @@ TEST_F(OtherEntityServers, KnowsForBothLanesWhichServerHasAnEntityItselfIncluded
         EXPECT_EQ(*core.serverOf(kSecond, lane), "es2");
         EXPECT_EQ(core.serverOf("nobody", lane), nullptr);
     }
+    hear(Lane::Data, "es2", {kFirst, kSecond});
+    EXPECT_EQ(*core.serverOf(kFirst, Lane::Data), "es1") << "another server announces an entity that is here";
     core.leave(here.session, true, "it left");
     hear(Lane::Data, "es2", {});
     hear(Lane::Data, "es3", {kFirst});

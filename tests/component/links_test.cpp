@@ -838,10 +838,9 @@ TEST_F(FloodOfLinks, IsBoundedAndWhoeverFinishesNoHandshakeIsDisconnectedWhileHo
     const auto client = newClient();
     ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
     ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    ASSERT_TRUE(waitUntil([&] { return !openTo(kFrontEndSignal).empty() && !openTo(kFrontEnd).empty(); }));
     const auto signals = openTo(kFrontEndSignal);
     const auto messages = openTo(kFrontEnd);
-    ASSERT_FALSE(signals.empty());
-    ASSERT_FALSE(messages.empty());
     floodOf(150, kFrontEnd);
     floodOf(150, kFrontEndSignal);
     EXPECT_TRUE(waitUntil([&] { return open() <= kOfOneAddress; }, 30s)) << open();

@@ -8,10 +8,13 @@ import json
 import os
 import pathlib
 import pwd
+import random
 import re
 import shutil
 import signal
+import socket
 import ssl
+import struct
 import subprocess
 import sys
 import unittest
@@ -19,6 +22,7 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 import probe  # noqa: E402
+from cluster import free  # noqa: E402
 import stalls  # noqa: E402
 from laboratory import Laboratory, Process, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
@@ -123,8 +127,12 @@ class GridTest(unittest.TestCase):
             host, _, port = where.rpartition(":")
             self.assertEqual(host, "127.0.0.1")
             probe.Connection(host, int(port), shows("registry-127.0.0.1")).close()
-            with self.assertRaises(probe.NoAnswer):
-                probe.Connection(host, int(port), timeout_s=0.3)
+            with socket.create_connection((host, int(port)), timeout=SECONDS) as plain:
+                plain.sendall(b"IceP\1\0\1\0\0\0" + struct.pack("<i", 14))  # what Ice says without TLS
+                try:
+                    self.assertEqual(plain.recv(1), b"", "it closes, and says nothing of Ice")
+                except ConnectionError:
+                    pass
             for stem in ("client-admin", "router-127.0.0.1", "storm-127.0.0.1", "front-end-fe1"):
                 with self.assertRaises(probe.NoAnswer, msg=f"{where} {stem}"):
                     probe.Connection(host, int(port), shows(stem))
@@ -151,8 +159,19 @@ class SeveralMachinesTest(unittest.TestCase):
         self.lab.env["PATH"] = f"{BIN}:{self.lab.env['PATH']}"
 
     def tidy(self):
+        for process in self.lab.processes:  # a node ends its programs first, which takes longer than others have
+            if process.name.startswith("icegridnode") and process.child.poll() is None:
+                process.child.terminate()
+                process.child.wait(SECONDS)
         self.lab.end()
         keep_if_failed(self, self.lab.folder)
+
+    def free_ports(self):
+        """The first of 200 ports that are free at the addresses of all machines."""
+        for base in random.sample(range(11000, 32000, 200), 100):
+            if all(free(machine, port) for machine in self.MACHINES for port in range(base, base + 200)):
+                return base
+        self.fail("no 200 ports are free")
 
     def do(self, *words):
         done = subprocess.run([str(word) for word in words], env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
@@ -177,7 +196,8 @@ class SeveralMachinesTest(unittest.TestCase):
     def test_a_robot_is_used_across_three_machines_and_what_is_killed_is_started_again(self):
         (self.lab.folder / "hosts.txt").write_text("".join(f"{machine}: {programs}\n" for machine, programs in self.MACHINES.items()))
         self.do(BIN / "axon-cluster", "configure", "--hosts", self.lab.folder / "hosts.txt", "--to", self.out, "--at", self.at,
-                "--user", pwd.getpwuid(os.geteuid()).pw_name, "--base-port", 11000 + os.getpid() % 100 * 200)
+                "--user", pwd.getpwuid(os.geteuid()).pw_name, "--base-port", self.free_ports())
+        self.do(BIN / "axon", "certs", "init", "--folder", self.lab.folder / "certs")
         self.do("sh", self.out / "certificates.sh", self.lab.folder / "certs")
         application = self.out / "127.0.0.2" / "icegrid.xml"
         application.write_text(application.read_text().replace('"/usr/bin"', f'"{BIN}"'))
@@ -189,16 +209,16 @@ class SeveralMachinesTest(unittest.TestCase):
             wait_until(lambda its=machine: "node is up" in self.admin(f"node ping {its}"), f"the node of {machine} is up", SECONDS)
         self.assertEqual(self.admin(f"application add '{self.at}/icegrid.xml'"), "")
 
-        people = self.out / "clients_and_entities"
-        for file in ("client.cfg", "entitygl2client.cfg"):
-            (people / file).write_text((people / file).read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={people}/certs"))
-        self.lab.env["AXON_CONFIG"] = str(people / "client.cfg")
+        client, entity = self.out / "for_clients/client.cfg", self.out / "for_entities/entitygl2client.cfg"
+        for file in (client, entity):
+            file.write_text(file.read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={file.parent}/certs"))
+        self.lab.env["AXON_CONFIG"] = str(client)
         wait_until(lambda: self.lab.axon("ls")[0] == 0, "a client gets a session", SECONDS)
         robot = self.lab.folder / "robot"
         shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
         (robot / "ports.cfg").write_text(f"Axon.Ports = {self.lab.ports}\n")
         self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
-        self.lab.start("manager", "axon-entity-manager", "--config", people / "entitygl2client.cfg", "--application", "Greeter",
+        self.lab.start("manager", "axon-entity-manager", "--config", entity, "--application", "Greeter",
                        "--ports", self.lab.ports, "--state", self.lab.folder / "manager-state")
         self.lab.wait_for_entity("Greeter", seconds=SECONDS)
 
@@ -216,16 +236,16 @@ class SeveralMachinesTest(unittest.TestCase):
 
 
 def listening(pid):
-    """The TCP ports on which process `pid` listens."""
+    """The ports of TCP and UDP on which process `pid` listens."""
     sockets = set()
     for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
         if held := re.match(r"socket:\[(\d+)\]", os.readlink(descriptor)):
             sockets.add(held[1])
     found = set()
-    for table in ("tcp", "tcp6"):
+    for table in ("tcp", "tcp6", "udp", "udp6"):
         for line in pathlib.Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
             fields = line.split()
-            if fields[3] == "0A" and fields[9] in sockets:
+            if (fields[3] == "0A" or table.startswith("udp")) and fields[9] in sockets:
                 found.add(int(fields[1].rpartition(":")[2], 16))
     return found
 

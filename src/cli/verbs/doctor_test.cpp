@@ -159,6 +159,11 @@ TEST_F(Links, UnderTlsNeedACertificateOfTheKindAndNameOfTheServer) {
         only(link + issued(Kind::Server, {"lab"}) + "Server.Name=lab\n"),
         testing::AllOf(testing::StartsWith("bad"), HasSubstr("is of the kind 'server'; expected front-end")));
     EXPECT_THAT(only(link + "IceSSL.CertFile=none.pem\n"), HasSubstr("none.pem"));
+    const auto alone = issued(Kind::Server, {"lab"});
+    EXPECT_THAT(only("FrontEndServerRouter.Endpoints=ssl -h lab -p 1\n" + alone), testing::StartsWith("ok"))
+        << "a server that is the only one, behind a router";
+    EXPECT_THAT(only("EntityServerTopic.Endpoints=ssl -h lab -p 1\n" + own + "Server.Name=fe1\n"),
+                HasSubstr("is of the kind 'front-end'; expected entity-server"));
 }
 
 TEST_F(Links, OfIceStormAndOfRoutersMustNameTheKindsThatMayConnect) {
@@ -180,7 +185,11 @@ TEST_F(Links, OfIceStormAndOfRoutersMustNameTheKindsThatMayConnect) {
         EXPECT_THAT(only(lines + one.bound_by + "=OU=front-end,O=Axon;OU=client,O=Axon\n"),
                     HasSubstr("lets in more than servers"));
         EXPECT_THAT(only(lines + one.bound_by + "=OU=entity-server,O=Axon\n"), testing::StartsWith("ok"));
-        EXPECT_THAT(only(lines + one.bound_by + "=OU=entity,O=Axon\n"), testing::StartsWith("bad"));
+        for (const char* wide : {"OU=entity,O=Axon", "OU=front-end,O=Axon;O=Axon", "O=Axon", "OU = client"})
+            EXPECT_THAT(only(lines + one.bound_by + "=" + wide + "\n"), testing::StartsWith("bad")) << wide;
+        const auto everywhere = one.link + issued(one.kind, {"lab"}) + one.bound_by + "=\nIceSSL.TrustOnly=";
+        EXPECT_THAT(only(everywhere + "!CN=lost;OU=entity-server,O=Axon\n"), testing::StartsWith("ok"));
+        EXPECT_THAT(only(everywhere + "OU=client,O=Axon\n"), testing::StartsWith("bad"));
         EXPECT_THAT(only(lines + "IceSSL.VerifyPeer=1\n"), HasSubstr("IceSSL.VerifyPeer=1"));
         EXPECT_THAT(only(one.link + issued(Kind::Client, {"ana"})), HasSubstr("is of the kind 'client'"));
     }

@@ -271,17 +271,21 @@ std::optional<std::string> certificateFor(const Properties& properties) {
         return unusable.what();
     }
     using certificates::Kind;
+    const auto some = [&](std::initializer_list<std::string_view> beginnings) {
+        return std::any_of(properties.begin(), properties.end(), [&](const auto& one) {
+            return std::any_of(beginnings.begin(), beginnings.end(),
+                               [&](std::string_view its_begin) { return one.first.starts_with(its_begin); });
+        });
+    };
+    const bool front_end = some({"FrontEndServer"}), entity = some({"EntityServer"});
+    const bool server = front_end || entity || some({"Server."});
+    const bool several =
+        some({"FrontEndServerTopic", "EntityServerTopic", "Server.TopicManager", "Server.Peer."});
     std::vector<Kind> kinds;
-    const bool server = std::any_of(properties.begin(), properties.end(), [](const auto& one) {
-        return one.first.starts_with("Server.") || one.first.starts_with("FrontEndServer") ||
-               one.first.starts_with("EntityServer");
-    });
-    const bool storm = std::any_of(properties.begin(), properties.end(),
-                                   [](const auto& one) { return one.first.starts_with("IceStorm."); });
-    if (server)
-        kinds = {Kind::FrontEnd, Kind::EntityServer};
-    else
-        kinds = {storm ? Kind::Storm : Kind::Router};
+    if (server && (front_end || !entity)) kinds.push_back(Kind::FrontEnd);
+    if (server && (entity || !front_end)) kinds.push_back(Kind::EntityServer);
+    if (server && !several) kinds.push_back(Kind::Server);  // the only one, with routers
+    if (!server) kinds.push_back(some({"IceStorm."}) ? Kind::Storm : Kind::Router);
     const auto kind = certificates::kindOf(its.front().unit);
     std::string expected;
     for (const auto one : kinds)
@@ -289,10 +293,23 @@ std::optional<std::string> certificateFor(const Properties& properties) {
     if (!kind || std::find(kinds.begin(), kinds.end(), *kind) == kinds.end())
         return "the certificate is of the kind '" + its.front().unit + "'; expected " + expected;
     const auto name = valueOf(properties, "Server.Name");
-    if (server && its.front().name != name)
+    if (server && *kind != Kind::Server && its.front().name != name)
         return "the certificate is that of '" + its.front().name + "'; expected that of Server.Name, '" +
                name + "'";
     return std::nullopt;
+}
+
+/// Of an alternative of IceSSL.TrustOnly, "OU=front-end,O=Axon": whether it names a kind of servers.
+bool isOfServers(const std::string& alternative) {
+    std::istringstream parts(alternative);
+    for (std::string part; std::getline(parts, part, ',');) {
+        std::erase_if(part, [](char c) { return c == ' ' || c == '\t' || c == '"'; });
+        if (!part.starts_with("OU=")) continue;
+        const auto kind = certificates::kindOf(part.substr(3));
+        return kind && *kind != certificates::Kind::Client && *kind != certificates::Kind::Entity;
+    }
+    return alternative.find_first_not_of(" \t") == std::string::npos ||
+           alternative[alternative.find_first_not_of(" \t")] == '!';  // whom it keeps out
 }
 
 /// Why somebody else than those of the link may be at its other end.
@@ -307,13 +324,15 @@ std::optional<std::string> unbound(const Properties& properties, const Link& lin
     // By default Ice asks for a certificate on both sides, and the caller's may be missing no less.
     if (verifies == "0" || verifies == "1")
         return "IceSSL.VerifyPeer=" + verifies + " lets in whoever shows no certificate";
-    const auto trusted = valueOf(properties, link.bound_by);
-    if (trusted.find("OU=") == std::string::npos)
+    std::string key = link.bound_by;
+    if (valueOf(properties, link.bound_by).empty()) key = "IceSSL.TrustOnly";
+    const auto trusted = valueOf(properties, key.c_str());
+    if (trusted.empty())
         return std::string("whoever has a certificate of the laboratory, such as a client, is let in: ") +
                link.bound_by + " names no kind (OU)";
-    for (const auto* kind : {"OU=client", "OU=entity,", "OU=entity;"})
-        if ((trusted + ";").find(kind) != std::string::npos)
-            return std::string(link.bound_by) + "=" + trusted + " lets in more than servers";
+    std::istringstream alternatives(trusted);
+    for (std::string one; std::getline(alternatives, one, ';');)
+        if (!isOfServers(one)) return key + "=" + trusted + " lets in more than servers: " + one;
     return std::nullopt;
 }
 

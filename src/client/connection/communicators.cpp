@@ -35,7 +35,7 @@ Result<void> Communicators::open(const Options& options) {
         if (const auto tried = transport::routerTriedFor(server); transport::isRouter(server) && tried)
             milliseconds = std::min<long long>(milliseconds, *tried);
         auto properties = options.properties;
-        properties["Ice.Override.ConnectTimeout"] = std::to_string(milliseconds);
+        properties.try_emplace("Ice.Override.ConnectTimeout", std::to_string(milliseconds));
         const bool tls = transport::isRouter(server) ? transport::isTlsRouter(server)
                                                      : transport::parseEndpoint(server).tls;
         if (tls && !transport::speaksTls(properties))

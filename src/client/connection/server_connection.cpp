@@ -258,7 +258,10 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
                 : transport::asCalled(
                       facts.signalEndpoint, login.endpoint,
                       transport::DirectConnection::remoteAddressOf(*connection->data_.connection->get()));
-        connection->signal_ = openLane(signal, signalLimits(), endpoint, facts.token, login, events);
+        auto its_signal = signal;
+        if (connection->routed_)
+            its_signal.router = transport::sameRouter(signal.router, *connection->data_.connection->get());
+        connection->signal_ = openLane(its_signal, signalLimits(), endpoint, facts.token, login, events);
         transport::prepareSignalLane(*connection->signal_.connection->get());
         connection->signal_.session->attachSignalLane(facts.token, connection->signal_.callback);
     } catch (...) {

@@ -13,7 +13,7 @@ namespace axon::transport {
 /// Who closes the connections of peers from which nothing comes.
 enum class Idle : std::uint8_t {
     ClosedAfterAMinute,  ///< Ice
-    ClosedAfterASecond,  ///< Ice
+    ClosedAfterASecond,  ///< Ice, where no call is under way
     Watched              ///< ConnectionLimits, which whoever listens asks to watch these endpoints
 };
 

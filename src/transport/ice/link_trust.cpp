@@ -125,19 +125,22 @@ bool LinkTrust::hasCome(const std::string& peer) {
     return true;
 }
 
-PeerCertificate LinkTrust::callerOf(const std::shared_ptr<Ice::Connection>& connection) {
-    if (!connection) return {};
+std::shared_ptr<const PeerCertificate> LinkTrust::callerOf(
+    const std::shared_ptr<Ice::Connection>& connection) {
+    static const auto kNobody = std::make_shared<const PeerCertificate>();
+    if (!connection) return kNobody;
     {
-        const std::lock_guard lock(mutex_);
+        const std::lock_guard lock(callers_mutex_);
         if (const auto found = callers_.find(connection.get()); found != callers_.end()) return found->second;
     }
-    auto its = verifiedCertificateOf(*connection).value_or(PeerCertificate{});
+    const auto its = std::make_shared<const PeerCertificate>(
+        verifiedCertificateOf(*connection).value_or(PeerCertificate{}));
     {
-        const std::lock_guard lock(mutex_);
+        const std::lock_guard lock(callers_mutex_);
         if (!callers_.emplace(connection.get(), its).second) return its;
     }
     connection->setCloseCallback([this](const std::shared_ptr<Ice::Connection>& closed) {
-        const std::lock_guard lock(mutex_);
+        const std::lock_guard lock(callers_mutex_);
         callers_.erase(closed.get());
     });
     return its;
@@ -145,16 +148,16 @@ PeerCertificate LinkTrust::callerOf(const std::shared_ptr<Ice::Connection>& conn
 
 bool LinkTrust::mayCall(const Ice::Current& current, Kind kind) {
     const auto its = callerOf(current.con);
-    if (its.unit == toString(kind)) return true;
-    disconnect(current, told(its) + " called " + shown(current.operation) + ", which is for the kind " +
+    if (its->unit == toString(kind)) return true;
+    disconnect(current, told(*its) + " called " + shown(current.operation) + ", which is for the kind " +
                             toString(kind));
     return false;
 }
 
 bool LinkTrust::speaksAs(const Ice::Current& current, const std::string& name, const char* what) {
     const auto its = callerOf(current.con);
-    if (its.name == name) return true;
-    disconnect(current, told(its) + " " + what + " " + shown(name) + "; expected its own name");
+    if (its->name == name) return true;
+    disconnect(current, told(*its) + " " + what + " " + shown(name) + "; expected its own name");
     return false;
 }
 
@@ -162,13 +165,13 @@ bool LinkTrust::mayTellOf(const Ice::Current& current, const std::string& entity
                           const char* what) {
     if (at == nullptr) return true;
     const auto its = callerOf(current.con);
-    if (its.name == *at) return true;
+    if (its->name == *at) return true;
     if (!strays_.admit(clock_.now())) {
         ++refused_;
         return false;
     }
-    refuse(current.con ? DirectConnection::peerOf(*current.con) : std::string(), its.name,
-           told(its) + " " + what + " the entity " + shown(entity) + ", which the server " + shown(*at) +
+    refuse(current.con ? DirectConnection::peerOf(*current.con) : std::string(), its->name,
+           told(*its) + " " + what + " the entity " + shown(entity) + ", which the server " + shown(*at) +
                " has; the message is dropped");
     return false;
 }
@@ -178,7 +181,7 @@ void LinkTrust::noteWrongServer(const std::string& called, const std::string& wh
 }
 
 void LinkTrust::disconnect(const Ice::Current& current, const std::string& why) {
-    refuse(current.con ? DirectConnection::peerOf(*current.con) : std::string(), callerOf(current.con).name,
+    refuse(current.con ? DirectConnection::peerOf(*current.con) : std::string(), callerOf(current.con)->name,
            why + "; it is disconnected");
     if (current.con) current.con->close(Ice::ConnectionClose::Forcefully);
 }

@@ -61,7 +61,7 @@ class LinkTrust {
     bool hasCome(const std::string& peer);
 
     /// Who is at the other end of a connection to one of these adapters. Remembered until it closes.
-    PeerCertificate callerOf(const std::shared_ptr<Ice::Connection>& connection);
+    std::shared_ptr<const PeerCertificate> callerOf(const std::shared_ptr<Ice::Connection>& connection);
     /// Whether the caller is of this kind; one that is not is noted and disconnected.
     bool mayCall(const Ice::Current& current, certificates::Kind kind);
     /// Whether the caller speaks in its own name; one that does not is noted and disconnected. `what`: for
@@ -99,7 +99,9 @@ class LinkTrust {
     std::set<std::uint16_t> ports_;  // of those adapters; guarded by mutex_
     /// When it was asked for, or came, last: IceSSL tells of no end. Guarded by mutex_.
     std::map<std::string, TimePoint> come_;
-    std::map<const Ice::Connection*, PeerCertificate> callers_;  // of open connections; guarded by mutex_
+    std::mutex callers_mutex_;  // taken for each message, so nothing else is done under it
+    /// Of open connections. Guarded by callers_mutex_.
+    std::map<const Ice::Connection*, std::shared_ptr<const PeerCertificate>> callers_;
 };
 
 }  // namespace axon::transport

@@ -199,6 +199,15 @@ std::optional<int> routerTriedFor(const std::string& router) {
     return partsOf(router).size() > 2 ? std::optional(kOneOfSeveralMs) : std::nullopt;
 }
 
+std::shared_ptr<Ice::ObjectPrx> sameRouter(const std::shared_ptr<Ice::ObjectPrx>& router,
+                                           const Ice::Connection& connection) {
+    if (router->ice_getEndpoints().size() < 2) return router;
+    // As text: an endpoint belongs to its communicator, and each lane has one.
+    const auto one =
+        router->ice_getCommunicator()->stringToProxy("router:" + connection.getEndpoint()->toString());
+    return router->ice_endpoints(one->ice_getEndpoints());
+}
+
 bool isTlsRouter(const std::string& router) {
     const auto parts = partsOf(router);
     return std::any_of(parts.begin() + 1, parts.end(), isSecureEndpoint);

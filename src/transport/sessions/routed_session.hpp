@@ -53,6 +53,12 @@ std::string wayToRouter(const std::string& router, bool has_certificate);
 /// milliseconds. Nothing where the proxy has one endpoint.
 std::optional<int> routerTriedFor(const std::string& router);
 
+/// The proxy of one of several routers: that to which this connection leads. Both lanes of a peer go through
+/// one router; with one of them through another, a router that stands still would leave half of a session,
+/// and the half with the heartbeats would hide it.
+std::shared_ptr<Ice::ObjectPrx> sameRouter(const std::shared_ptr<Ice::ObjectPrx>& router,
+                                           const Ice::Connection& connection);
+
 /// Whether such a router is reached over TLS.
 bool isTlsRouter(const std::string& router);
 

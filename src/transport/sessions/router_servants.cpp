@@ -177,7 +177,7 @@ std::shared_ptr<Glacier2::SessionPrx> CertificateSessionManagerServant::create(
 
 std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
                                                      const std::string& endpoint, RouterDoor& door) {
-    // Until a router has a session here (RouterConnections::admit()).
+    // Until a router has called something (RouterConnections::admit()).
     auto adapter = listen(communicator, name, endpoint, kThreads, Idle::ClosedAfterASecond);
     adapter->add(std::make_shared<PermissionsVerifierServant>(door),
                  Ice::stringToIdentity(kPermissionsVerifier));

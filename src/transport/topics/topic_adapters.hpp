@@ -3,14 +3,12 @@
 #include <Ice/DispatchInterceptor.h>
 #include <Ice/Ice.h>
 
-#include <algorithm>
-#include <atomic>
 #include <functional>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
 #include <string_view>
+#include <unordered_set>
 #include <utility>
 #include <vector>
 
@@ -19,45 +17,44 @@
 #include "transport/ice/connection_limits.hpp"
 #include "transport/ice/link_trust.hpp"
 #include "transport/ice/peer_connection.hpp"
+#include "transport/sessions/session_peers.hpp"
 
 namespace axon::transport {
 
-/// Which connections have brought a call, where no certificate says who is there. Threads: any. Bound: one
-/// entry for each of them that is open.
+/// Which connections of one lane have brought a call, where no certificate says who is there. Threads: any.
+/// Bound: one entry for each of them that is open.
 class TopicCallers : public std::enable_shared_from_this<TopicCallers> {
   public:
     void heard(const std::shared_ptr<Ice::Connection>& connection) {
-        if (!connection || connection.get() == last_.load(std::memory_order_relaxed)) return;
+        if (!connection) return;
         {
             const std::lock_guard lock(mutex_);
-            last_ = connection.get();
-            if (!peers_.try_emplace(connection.get(), DirectConnection::peerOf(*connection)).second) return;
+            if (!callers_.insert(connection.get()).second) return;
         }
+        const auto peer = DirectConnection::peerOf(*connection);
+        peers_.add(peer);
         connection->setCloseCallback(
-            [its = shared_from_this()](const std::shared_ptr<Ice::Connection>& closed) {
+            [its = shared_from_this(), peer](const std::shared_ptr<Ice::Connection>& closed) {
+                its->peers_.remove(peer);
                 const std::lock_guard lock(its->mutex_);
-                its->peers_.erase(closed.get());
-                its->last_ = nullptr;
+                its->callers_.erase(closed.get());
             });
     }
-    bool has(const std::string& peer) const {
-        const std::lock_guard lock(mutex_);
-        return std::any_of(peers_.begin(), peers_.end(), [&](const auto& one) { return one.second == peer; });
-    }
+    bool has(const std::string& peer) const { return peers_.has(peer); }
 
   private:
-    std::atomic<const Ice::Connection*> last_{nullptr};  // one that is in peers_, or was when it called
-    mutable std::mutex mutex_;
-    std::map<const Ice::Connection*, std::string> peers_;  // guarded by mutex_
+    std::mutex mutex_;  // taken for each message, so nothing else is done under it
+    std::unordered_set<const Ice::Connection*> callers_;  // guarded by mutex_
+    SessionPeers peers_;
 };
 
 /// Where one of several servers is reached by the others: two adapters, one for each lane, and the
 /// stringified proxies of what is behind them.
 struct TopicAdapters {
     std::shared_ptr<Ice::ObjectAdapter> data, signal;  // null where the other server is in this process
-    std::shared_ptr<TopicCallers> callers;             // null under TLS
-    std::string subscriber;                            ///< what comes by the topic
-    std::string signals, messages;                     ///< what comes straight, for each lane
+    std::shared_ptr<TopicCallers> data_callers, signal_callers;  // null under TLS
+    std::string subscriber;                                      ///< what comes by the topic
+    std::string signals, messages;                               ///< what comes straight, for each lane
 
     void activate() const {
         signal->activate();
@@ -113,7 +110,10 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
     made.data = listen(data, kind + "Topic", settings.topic_endpoint, 0, Idle::Watched);
     made.signal = listen(*settings.topic_signals, kind + "TopicSignal", settings.topic_signal_endpoint, 0,
                          Idle::Watched);
-    if (links == nullptr) made.callers = std::make_shared<TopicCallers>();
+    if (links == nullptr) {
+        made.data_callers = std::make_shared<TopicCallers>();
+        made.signal_callers = std::make_shared<TopicCallers>();
+    }
     if (links != nullptr) {
         std::vector<Kind> callers(Servant::kCallers.begin(), Servant::kCallers.end());
         links->admit(*made.signal, callers);
@@ -131,7 +131,8 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
                     return straight ? Servant::callerOf(operation) : Kind::Storm;
                 });
         else
-            servant = std::make_shared<HeardCalls>(std::move(servant), made.callers);
+            servant = std::make_shared<HeardCalls>(
+                std::move(servant), lane == Lane::Signal ? made.signal_callers : made.data_callers);
         return adapter.add(servant, identity)->ice_toString();
     };
     made.subscriber = add(*made.data, Lane::Data, Via::Topic);
@@ -146,12 +147,14 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
                                                               const TopicAdapters& adapters,
                                                               LinkTrust* links) {
     using Peer = ConnectionLimits::Peer;
-    const auto stateOf = [links, callers = adapters.callers](const std::string& peer) {
-        const bool known = links != nullptr ? links->hasCome(peer) : callers->has(peer);
-        return known ? Peer::HasSession : Peer::Stranger;
+    const auto stateBy = [links](const std::shared_ptr<TopicCallers>& callers) {
+        return [links, callers](const std::string& peer) {
+            const bool known = links != nullptr ? links->hasCome(peer) : callers->has(peer);
+            return known ? Peer::HasSession : Peer::Stranger;
+        };
     };
-    return {limits.watch(listenedEndpoints(*adapters.data), {stateOf}),
-            limits.watch(listenedEndpoints(*adapters.signal), {stateOf})};
+    return {limits.watch(listenedEndpoints(*adapters.data), {stateBy(adapters.data_callers)}),
+            limits.watch(listenedEndpoints(*adapters.signal), {stateBy(adapters.signal_callers)})};
 }
 
 }  // namespace axon::transport

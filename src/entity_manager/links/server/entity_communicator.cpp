@@ -337,9 +337,10 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     template <class Then>
     void openThroughRouter(std::uint64_t attempt, Lane lane, const std::string& token, Then then) {
+        auto router = transport::routerProxy(*communicator(lane), address_.router);
+        if (lane == Lane::Signal) router = transport::sameRouter(router, *data_connection_);
         transport::openRoutedSession(
-            transport::routerProxy(*communicator(lane), address_.router),
-            {address_.user, address_.password, {}, token, kLoginTimeoutMs},
+            router, {address_.user, address_.password, {}, token, kLoginTimeoutMs},
             [weak = weak_from_this(), attempt, lane, then](const transport::RoutedSession& routed) {
                 const auto self = weak.lock();
                 if (!self) return routed.connection->close(Ice::ConnectionClose::Forcefully);

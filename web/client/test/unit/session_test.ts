@@ -359,6 +359,27 @@ test("A lease is resumed with its key, and its tasks are asked after", async () 
     assert.deepEqual([heard, robot.orphaned, task.report().state, task.report().reason?.code], [["orphaned", "resumed"], false, "STOPPED", "STOPPED"]);
 });
 
+test("An entity that leaves its server has the grace to come back by another one", async () => {
+    const { clock, server, client, robot } = await held();
+    const heard: string[] = [];
+    robot.onOrphaned(() => heard.push("orphaned"));
+    robot.onResumed(() => heard.push("resumed"));
+    robot.onLost(({ code }) => heard.push(`lost ${code}`));
+    const leave = (): void => server.events.profile("left", { entity: ROBOT, name: "", category: "", type: "" }, new Uint8Array(0));
+    leave();
+    await clock.advance(4900);
+    assert.deepEqual(heard, ["orphaned"]);
+    server.join(ROBOT, "PeopleBot", { state: "REG", latched: true, orphaned: true, holder: ME, held: { epoch: 1, number: 1 } });
+    server.grant(ROBOT);
+    assert.deepEqual([heard, robot.orphaned], [["orphaned", "resumed"], false]);
+    server.events.heartbeat();
+    leave();
+    await clock.advance(4900);
+    assert.deepEqual(heard, ["orphaned", "resumed", "orphaned"]);
+    await clock.advance(101);
+    assert.deepEqual([heard.at(-1), client.connection().kind], ["lost UNAVAILABLE", "connected"]);
+});
+
 test("A task that nobody knows of after a lost connection is UNKNOWN, and a late sign of it is cancelled", async () => {
     const { clock, server, robot } = await held();
     const task = robot.run("Drive", [{ name: "Distance", values: [1] }]);
