@@ -11,7 +11,7 @@
 #include "common/result.hpp"
 #include "transport/ice/connection_limits.hpp"
 #include "transport/ice/peer_connection.hpp"
-#include "transport/sessions/session_peers.hpp"
+#include "transport/ice/session_peers.hpp"
 
 namespace axon::transport {
 

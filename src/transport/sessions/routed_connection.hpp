@@ -15,8 +15,8 @@
 #include "common/result.hpp"
 #include "transport/ice/login.hpp"
 #include "transport/ice/peer_connection.hpp"
+#include "transport/ice/session_peers.hpp"
 #include "transport/outbox/outbox.hpp"
-#include "transport/sessions/session_peers.hpp"
 
 namespace axon::transport {
 

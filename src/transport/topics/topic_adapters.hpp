@@ -17,7 +17,7 @@
 #include "transport/ice/connection_limits.hpp"
 #include "transport/ice/link_trust.hpp"
 #include "transport/ice/peer_connection.hpp"
-#include "transport/sessions/session_peers.hpp"
+#include "transport/ice/session_peers.hpp"
 
 namespace axon::transport {
 

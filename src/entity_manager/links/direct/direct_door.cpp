@@ -17,9 +17,9 @@
 #include "transport/ice/direct_head.hpp"
 #include "transport/ice/lane_socket.hpp"
 #include "transport/ice/peer_connection.hpp"
+#include "transport/ice/session_peers.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/outbox/outbox.hpp"
-#include "transport/sessions/session_peers.hpp"
 
 namespace axon::entity_manager {
 namespace {
