@@ -125,17 +125,17 @@ def test_a_stream_is_iterated_and_its_oldest_samples_give_way(laboratory, client
     assert "0 of 1 samples of battery" in told.error.message
     texts = []
     robot.on_text(texts.append)
-    with robot.stream("battery", limit=4).watch() as watch:
+    with robot.stream("battery", limit=4).watch() as watch, robot.stream("where").watch() as end:
         wait_until(lambda: entity.sample("battery", 1.0, units="V") or len(watch._feed))
-        for _ in range(10):  # once more where some had not come yet
-            before = watch.dropped
-            for number in range(40):
-                entity.sample("battery", float(number), units="V")
-            wait_until(lambda: watch.dropped >= before + 30)
-            wait_until(lambda: len(watch._feed) == 4)
-            last = watch.take(4)
-            if [float(one) for one in last] == [36, 37, 38, 39]:
-                break
+        wait_until(lambda: entity.sample("where", 0.0, 0.0) or len(end._feed))
+        for number in range(40):
+            entity.sample("battery", float(number), units="V")
+        entity.sample("where", 9.0, 9.0)
+        while list(end.take(1)[0].data) != [9, 9]:  # what was sent before has come before
+            pass
+        assert watch.dropped >= 30
+        assert len(watch._feed) == 4
+        last = watch.take(4)
     assert [float(one) for one in last] == [36, 37, 38, 39] and last[0].units == "V"
     assert last[0].sequence + 3 == last[3].sequence
     seen = []
