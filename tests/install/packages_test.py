@@ -183,8 +183,8 @@ class BareSystem(Test):
         done = system.run_outside("apt-get", "update")
         if done.returncode != 0 or "Failed to fetch" in done.stdout:
             raise Unavailable("apt in the bare system cannot reach its mirror")
-        # The compiler is what the lessons about programs of one's own ask for.
-        done = system.run_outside("sh", "-c", "apt-get install -y --download-only g++ cmake make /mnt/*.deb")
+        # The compiler is what the lessons about programs of one's own ask for, and IceGrid what its units start.
+        done = system.run_outside("sh", "-c", "apt-get install -y --download-only g++ cmake make zeroc-icegrid zeroc-ice-utils /mnt/*.deb")
         self.assertEqual(done.returncode, 0, done.stdout)
 
     def ok(self, *words, **options):
@@ -212,6 +212,7 @@ class BareSystem(Test):
             exposure = self.ok("systemd-analyze", "security", "--no-pager", unit)
             level = float(re.search(r"Overall exposure level for \S+: ([\d.]+)", exposure).group(1))
             self.assertLess(level, 3.5, exposure)
+        self.ok("apt-get", "purge", "-y", "zeroc-icegrid", "zeroc-ice-utils")  # its own registry and node run since
 
     def a_robot_is_seen(self):
         """What docs/how-to/install.md says for the first entity."""
