@@ -11,7 +11,7 @@ drill shows that. What happens then is the kind's:
 
     kill-…    the program is started again, and nothing else
     lose-…    it stays away: another program of its kind takes over
-    freeze-…  as lose-…, or for a program of which there is one only, it goes on after 3 s
+    freeze-…  as lose-…, or for a program of which there is one only, it goes on after 6 s
 
 Within 5 s the same client must hold and use every robot, the lists of all front-end servers that run must agree, and no
 other client may be able to check out what it holds. At last a program that was away comes back, and the lists of all
@@ -37,7 +37,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 sys.dont_write_bytecode = True
 import processes  # noqa: E402
-from laboratory import Failed, Laboratory, wait_until  # noqa: E402
+from laboratory import Failed, Laboratory, sockets_of, wait_until  # noqa: E402
 
 STOP_MS = 250 + 100  # the longest watchdog of a hop while a task runs, and what is allowed on top
 PATIENCE_S = 3.0
@@ -91,15 +91,7 @@ class HostProbe(threading.Thread):
 
 def is_connected(pid, port):
     """Whether process `pid` has a connection to that port of this machine."""
-    sockets = set()
-    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
-        try:
-            sockets.add(os.readlink(descriptor))
-        except OSError:  # closed meanwhile
-            continue
-    lines = pathlib.Path(f"/proc/{pid}/net/tcp").read_text().splitlines()[1:]
-    return any(int(fields[2].rpartition(":")[2], 16) == port and fields[3] == "01" and f"socket:[{fields[9]}]" in sockets
-               for fields in map(str.split, lines))
+    return any(one.table == "tcp" and one.state == "01" and one.remote_port == port for one in sockets_of(pid))
 
 
 class Robot:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Axon's programs as real processes, for ./demo and the end-to-end tests: each with its log, ended by its own id."""
+import collections
 import contextlib
 import json
 import os
@@ -89,6 +90,25 @@ class Process:
 def addresses(ready_line):
     """{"client": "127.0.0.1:10410", …} of "ready client=127.0.0.1:10410 …"."""
     return dict(word.split("=", 1) for word in ready_line.split()[1:] if "=" in word)
+
+
+Socket = collections.namedtuple("Socket", "table port remote_port state")
+
+
+def sockets_of(pid):
+    """Those of TCP and UDP that process `pid` has open. State: as in /proc/net/tcp, 01 is connected, 0A listens."""
+    held = set()
+    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            held.add(os.readlink(descriptor))
+        except OSError:  # closed meanwhile
+            continue
+    found = []
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        for fields in map(str.split, pathlib.Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]):
+            if f"socket:[{fields[9]}]" in held:
+                found.append(Socket(table, *(int(at.rpartition(":")[2], 16) for at in fields[1:3]), fields[3]))
+    return found
 
 
 def wait_until(holds, what, seconds=10.0):

@@ -487,7 +487,7 @@ class Cluster:
             if program.by_node:
                 self.restart_by_node(name)
             else:
-                self.strike(name, self.end_node if name == "icegridnode" else self.end)
+                self.end(name)
                 if name == "icegridnode":
                     self.refuse_orphans(configuration.programs(plan), self.records())
                 self.start(program)
@@ -514,16 +514,12 @@ class Cluster:
             running = [name for name in reversed(names) if processes.runs(before.get(name))]
             # First the node, which ends its programs, and would start again what is ended without it.
             for name in sorted(reversed(names), key=lambda name: name != "icegridnode"):
-                self.strike(name, self.end_node if name == "icegridnode" else self.end)
+                self.end(name)
             return running
 
-    @staticmethod
-    def end(its):
-        return processes.end(its)
-
-    @staticmethod
-    def end_node(its):
-        return processes.end(its, NODE_ENDS_S)
+    def end(self, name):
+        """In order, if it runs."""
+        self.strike(name, (lambda its: processes.end(its, NODE_ENDS_S)) if name == "icegridnode" else processes.end)
 
     def strike(self, name, how):
         its = self.records().get(name)

@@ -24,7 +24,7 @@ sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 import probe  # noqa: E402
 from cluster import free  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import Laboratory, Process, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
+from laboratory import Laboratory, Process, keep_if_failed, programs, robot_ports, sockets_of, wait_until  # noqa: E402
 
 BIN = programs()
 OF_NODE = ["icestorm1", "icestorm2", "icestorm3", "es1", "es2", "fe1", "fe2", "entity-router", "client-router"]
@@ -237,17 +237,7 @@ class SeveralMachinesTest(unittest.TestCase):
 
 def listening(pid):
     """The ports of TCP and UDP on which process `pid` listens."""
-    sockets = set()
-    for descriptor in pathlib.Path(f"/proc/{pid}/fd").iterdir():
-        if held := re.match(r"socket:\[(\d+)\]", os.readlink(descriptor)):
-            sockets.add(held[1])
-    found = set()
-    for table in ("tcp", "tcp6", "udp", "udp6"):
-        for line in pathlib.Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
-            fields = line.split()
-            if (fields[3] == "0A" or table.startswith("udp")) and fields[9] in sockets:
-                found.add(int(fields[1].rpartition(":")[2], 16))
-    return found
+    return {one.port for one in sockets_of(pid) if one.state == "0A" or one.table.startswith("udp")}
 
 
 if __name__ == "__main__":
