@@ -24,6 +24,7 @@
 #include "host/socket_owner.hpp"
 #include "server/console_station.hpp"
 #include "server/login_desk.hpp"
+#include "transport/ice/adapter.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/connection_limits.hpp"
 #include "transport/ice/endpoint.hpp"
@@ -169,16 +170,11 @@ Ice::InitializationData readerOf(const std::map<std::string, std::string>& prope
 std::vector<transport::Endpoint> calledBy(const std::string& key, const std::string& text,
                                           Ice::Communicator& reader) {
     std::vector<transport::Endpoint> all;
-    bool known = true;
+    bool known = false;  // each has an address
     try {
-        const auto proxy = reader.stringToProxy(text);
-        for (const auto& endpoint : proxy ? proxy->ice_getEndpoints() : Ice::EndpointSeq()) {
-            const auto outer = endpoint->getInfo();
-            std::shared_ptr<Ice::IPEndpointInfo> ip;
-            for (auto info = outer; info && !ip; info = info->underlying)
-                ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(info);
-            known = known && ip;
-            if (ip) all.push_back({ip->host, static_cast<std::uint16_t>(ip->port), outer->secure()});
+        if (const auto proxy = reader.stringToProxy(text)) {
+            all = transport::endpointsOf(*proxy);
+            known = all.size() == proxy->ice_getEndpoints().size();
         }
     } catch (const Ice::Exception&) {
         all.clear();
