@@ -70,6 +70,8 @@ class Links : public testing::Test {
         others.init(now(), false);
     }
     ~Links() override {
+        client.reset();
+        robot.reset();
         fe1.reset();
         es1.reset();
         storm.reset();
@@ -148,18 +150,27 @@ class Links : public testing::Test {
                                            issued(Kind::Client, "client1"));
     }
     std::unique_ptr<RawEntity> newRobot() const {
-        auto robot = std::make_unique<RawEntity>(es1->entityAddress(Lane::Data), kFirst, "PeopleBot", "", "",
-                                                 issued(Kind::Entity, "PeopleBot"));
-        robot->registration.heartbeat_idle_ms = 60'000;
-        robot->join();
-        return robot;
+        auto its = std::make_unique<RawEntity>(es1->entityAddress(Lane::Data), kFirst, "PeopleBot", "", "",
+                                               issued(Kind::Entity, "PeopleBot"));
+        its->registration.heartbeat_idle_ms = 60'000;
+        its->join();
+        return its;
+    }
+    /// IceStorm, both servers, a robot at one and a client at the other that has heard of it.
+    void startAll() {
+        startStorm();
+        startServers();
+        robot = newRobot();
+        client = newClient();
+        ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); }))
+            << kLog->all() << storm->text();
     }
     /// Straight and by the topic: a stop comes twice.
-    static bool reaches(RawClient& client, RawEntity& robot) {
+    bool reaches() const {
         return waitUntil([&] {
-            const auto before = robot.log.count("signal stop");
-            client.stop(robot.registration.entity);
-            return waitUntil([&] { return robot.log.count("signal stop") >= before + 2; }, 300ms);
+            const auto before = robot->log.count("signal stop");
+            client->stop(robot->registration.entity);
+            return waitUntil([&] { return robot->log.count("signal stop") >= before + 2; }, 300ms);
         });
     }
     static bool logged(const std::string& part) {
@@ -238,16 +249,13 @@ class Links : public testing::Test {
     const certificates::Folder others{folder / "others"};
     std::unique_ptr<LoggedProgram> storm;
     std::unique_ptr<server::Server> fe1, es1;
+    std::unique_ptr<RawEntity> robot;
+    std::unique_ptr<RawClient> client;
 };
 
 TEST_F(Links, TheRightCertificatesJoinTheServersAndAClientStopsTheRobotOfTheOther) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); }))
-        << kLog->all() << storm->text();
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
+    EXPECT_TRUE(reaches()) << kLog->all();
     client->text(kFirst, "hello", 1);
     EXPECT_TRUE(waitUntil([&] { return robot->log.has("msg client1@lab TEXT hello"); }));
     robot->dataOneway()->sendToClient(transport::toIce(robot->headTo(client->facts.me.id)), toRange("yes"));
@@ -259,12 +267,8 @@ TEST_F(Links, TheRightCertificatesJoinTheServersAndAClientStopsTheRobotOfTheOthe
 }
 
 TEST_F(Links, IceStormMayDieAndComeBackAndStopsNeedItNot) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
-    ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
+    ASSERT_TRUE(reaches()) << kLog->all();
     storm->kill();
     const auto before = robot->log.count("signal stop");
     client->stop(kFirst);
@@ -272,30 +276,22 @@ TEST_F(Links, IceStormMayDieAndComeBackAndStopsNeedItNot) {
     client->text(kFirst, "straight", 1);
     EXPECT_TRUE(waitUntil([&] { return robot->log.has("msg client1@lab TEXT straight"); }));
     startStorm();
-    EXPECT_TRUE(reaches(*client, *robot)) << "by the topic, again\n" << kLog->all();
+    EXPECT_TRUE(reaches()) << "by the topic, again\n" << kLog->all();
 }
 
 TEST_F(Links, AServerThatComesBackIsReachedAgain) {
-    startStorm();
-    startServers();
-    auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
-    ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
+    ASSERT_TRUE(reaches()) << kLog->all();
     es1.reset();
     EXPECT_TRUE(waitUntil([&] { return client->log.has("left PeopleBot"); }));
     es1 = std::make_unique<server::Server>(settings(ServerRole::Entity, "es1"));
     robot = newRobot();
     EXPECT_TRUE(waitUntil([&] { return client->log.count("joined PeopleBot") == 2; })) << kLog->all();
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(reaches()) << kLog->all();
 }
 
 TEST_F(Links, WhoeverComesWithoutTheRightCertificateIsRefusedAndHonestServersGoOn) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
 
     auto stranger = issued(others, Kind::EntityServer, "es9");
     stranger["IceSSL.CAs"] = (ours.path() / "ca.cert.pem").string();
@@ -345,15 +341,11 @@ TEST_F(Links, WhoeverComesWithoutTheRightCertificateIsRefusedAndHonestServersGoO
     }
     EXPECT_TRUE(audited("fe1", "the client 'client1'")) << trailOf("fe1");
     EXPECT_TRUE(audited("es1", "the certificate is of another CA")) << trailOf("es1");
-    EXPECT_TRUE(reaches(*client, *robot)) << "honest servers go on\n" << kLog->all();
+    EXPECT_TRUE(reaches()) << "honest servers go on\n" << kLog->all();
 }
 
 TEST_F(Links, WhoeverSpeaksNoTlsIsRefused) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
     const auto before = refused(*fe1);
     for (const int port : {kFrontEnd, kFrontEndSignal}) {
         const int plain = connectedTo(port);
@@ -370,15 +362,11 @@ TEST_F(Links, WhoeverSpeaksNoTlsIsRefused) {
         ::close(plain);
     }
     EXPECT_TRUE(waitUntil([&] { return refused(*fe1) >= before + 2; })) << kLog->all();
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(reaches()) << kLog->all();
 }
 
 TEST_F(Links, NobodySpeaksInAnothersName) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
     const auto straight = [](auto type, const Ice::CommunicatorHolder& its, const std::string& to) {
         using Prx = typename decltype(type)::element_type;
         // Another connection where the one before was closed.
@@ -456,7 +444,7 @@ TEST_F(Links, NobodySpeaksInAnothersName) {
         << kLog->all();
     EXPECT_FALSE(robot->log.has("msg client1@lab TEXT forged"));
     EXPECT_FALSE(client->log.has("left PeopleBot"));
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(reaches()) << kLog->all();
 }
 
 /// An entity server of its own certificate that is nothing else: it may call, and says what it is told to.
@@ -509,11 +497,7 @@ class EntitiesOfOthers : public Links {
 };
 
 TEST_F(EntitiesOfOthers, AreNotSpokenForToClients) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
     const auto es9 = stranger("es9");
     Axon::CommUtil::Header head{};
     head.sender.id = client->facts.me.id;
@@ -558,12 +542,12 @@ TEST_F(EntitiesOfOthers, AreNotSpokenForToClients) {
     robot->dataOneway()->sendToClientDataSeq(transport::toIce(robot->headTo(client->facts.me.id)),
                                              toRange("data"));
     EXPECT_TRUE(waitUntil([&] { return client->log.has("data 0"); })) << "its own server speaks for it";
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(reaches()) << kLog->all();
 }
 
 TEST_F(EntitiesOfOthers, AreNotSpokenForToEntities) {
     startServers();
-    const auto robot = newRobot();
+    robot = newRobot();
     const auto es2 = stranger("es2");
     const auto es9 = stranger("es9");
     Axon::CommUtil::Header head{};
@@ -618,12 +602,8 @@ TEST_F(EntitiesOfOthers, AreNotSpokenForToEntities) {
 }
 
 TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
-    ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
+    ASSERT_TRUE(reaches()) << kLog->all();
     const auto signals = openTo(kEntityServerSignal);
     const auto messages = openTo(kEntityServer);
     ASSERT_FALSE(signals.empty());
@@ -648,7 +628,7 @@ TEST_F(Links, WhoAnswersInTheNameOfAnotherServerGetsNoMessage) {
         entity_server->stringToProxy("FrontEndServerStraight/fe1:" + ssl(kFrontEndSignal)))
         ->entityServerUpdate(announced);
     EXPECT_TRUE(logged("server es9 is out of reach")) << kLog->all();
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(reaches()) << kLog->all();
     EXPECT_THAT(openTo(kEntityServerSignal), testing::IsSupersetOf(signals)) << "es1's own go on";
     EXPECT_THAT(openTo(kEntityServer), testing::IsSupersetOf(messages));
 }
@@ -710,13 +690,13 @@ TEST_F(Links, AServersCertificateIsNoClientsAndNoEntitys) {
         return std::string("accepted");
     };
     EXPECT_THAT(refusalOf([&] {
-                    const RawEntity robot(es1->entityAddress(Lane::Data), kFirst, "es9", "", "",
-                                          issued(Kind::EntityServer, "es9"));
+                    const RawEntity its(es1->entityAddress(Lane::Data), kFirst, "es9", "", "",
+                                        issued(Kind::EntityServer, "es9"));
                 }),
                 HasSubstr("expected one of the kind 'entity'"));
     EXPECT_THAT(refusalOf([&] {
-                    const RawClient client(fe1->clientAddress(Lane::Data), "fe9", true, "", "",
-                                           issued(Kind::FrontEnd, "fe9"));
+                    const RawClient its(fe1->clientAddress(Lane::Data), "fe9", true, "", "",
+                                        issued(Kind::FrontEnd, "fe9"));
                 }),
                 HasSubstr("expected one of the kind 'client'"));
 }
@@ -809,7 +789,9 @@ class FloodOfLinks : public Links {
             const int its = connectedTo(port);
             ASSERT_GE(its, 0);
             // The beginning of a TLS handshake, for half of them.
-            if (i % 2 == 0) EXPECT_EQ(::send(its, "\x16\x03\x01\x02", 4, MSG_NOSIGNAL), 4);
+            if (i % 2 == 0) {
+                EXPECT_EQ(::send(its, "\x16\x03\x01\x02", 4, MSG_NOSIGNAL), 4);
+            }
             flood.push_back(its);
         }
     }
@@ -832,12 +814,8 @@ class FloodOfLinks : public Links {
 };
 
 TEST_F(FloodOfLinks, IsBoundedAndWhoeverFinishesNoHandshakeIsDisconnectedWhileHonestServersGoOn) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
-    ASSERT_TRUE(reaches(*client, *robot)) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
+    ASSERT_TRUE(reaches()) << kLog->all();
     ASSERT_TRUE(waitUntil([&] { return !openTo(kFrontEndSignal).empty() && !openTo(kFrontEnd).empty(); }));
     const auto signals = openTo(kFrontEndSignal);
     const auto messages = openTo(kFrontEnd);
@@ -845,13 +823,13 @@ TEST_F(FloodOfLinks, IsBoundedAndWhoeverFinishesNoHandshakeIsDisconnectedWhileHo
     floodOf(150, kFrontEndSignal);
     EXPECT_TRUE(waitUntil([&] { return open() <= kOfOneAddress; }, 30s)) << open();
     EXPECT_TRUE(logged("more than 128 of one address without a session")) << kLog->all();
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(reaches()) << kLog->all();
     EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open() << " handshakes go on";
     EXPECT_TRUE(waitUntil([&] { return kLog->has("no session in 10 s"); }, 30s)) << kLog->all();
     EXPECT_TRUE(audited("fe1", "without a session")) << trailOf("fe1");
     EXPECT_THAT(openTo(kFrontEndSignal), testing::IsSupersetOf(signals)) << "those of the server go on";
     EXPECT_THAT(openTo(kFrontEnd), testing::IsSupersetOf(messages)) << "also where nothing is sent";
-    EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+    EXPECT_TRUE(reaches()) << kLog->all();
     EXPECT_EQ(refused(*es1), 0);
 }
 
@@ -950,11 +928,7 @@ class AbuseOfPorts : public FloodOfLinks {
 };
 
 TEST_F(AbuseOfPorts, NoRubbishComesInAndEachIsRecordedWithItsAddress) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
     const auto all = rubbish();
     for (const auto& port : ports()) {
         SCOPED_TRACE("the port for " + port.name + " of " + port.server);
@@ -976,18 +950,14 @@ TEST_F(AbuseOfPorts, NoRubbishComesInAndEachIsRecordedWithItsAddress) {
             },
             20s))
             << "not recorded:" << missing;
-        EXPECT_TRUE(reaches(*client, *robot)) << kLog->all();
+        EXPECT_TRUE(reaches()) << kLog->all();
     }
     EXPECT_TRUE(waitUntil([&] { return open() == 0; }, 40s)) << open() << " half-open ones stand";
-    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+    EXPECT_TRUE(reaches()) << "honest peers go on\n" << kLog->all();
 }
 
 TEST_F(AbuseOfPorts, NoCertificateThatIsNotValidComesIn) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
     const auto ca = (ours.path() / "ca.cert.pem").string();
     const auto expired = [&](Kind kind, const std::string& name) {
         std::vector<std::string> names{name};
@@ -1028,15 +998,11 @@ TEST_F(AbuseOfPorts, NoCertificateThatIsNotValidComesIn) {
             EXPECT_TRUE(audited(port.server, one.why)) << trailOf(port.server);
         }
     }
-    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+    EXPECT_TRUE(reaches()) << "honest peers go on\n" << kLog->all();
 }
 
 TEST_F(AbuseOfPorts, AMessageThatIsTooLongEndsTheConnectionOfItsSenderOnly) {
-    startStorm();
-    startServers();
-    const auto robot = newRobot();
-    const auto client = newClient();
-    ASSERT_TRUE(waitUntil([&] { return client->log.has("joined PeopleBot"); })) << kLog->all();
+    ASSERT_NO_FATAL_FAILURE(startAll());
     for (const auto& port : ports()) {
         SCOPED_TRACE("the port for " + port.name + " of " + port.server);
         const auto right = port.name.find("servers") != std::string::npos
@@ -1052,7 +1018,7 @@ TEST_F(AbuseOfPorts, AMessageThatIsTooLongEndsTheConnectionOfItsSenderOnly) {
             proxy->ice_invoke("ice_ping", Ice::OperationMode::Normal, Ice::ByteSeq(5 * 1024 * 1024), out),
             Ice::ConnectionLostException);
     }
-    EXPECT_TRUE(reaches(*client, *robot)) << "honest peers go on\n" << kLog->all();
+    EXPECT_TRUE(reaches()) << "honest peers go on\n" << kLog->all();
 }
 
 /// Two front-end servers, each asked by routers for sessions of clients, which know each other by
@@ -1218,12 +1184,12 @@ TEST_F(LinksOfPeers, TheSecondSessionBehindARouterGoesToTheServerThatHasTheFirst
     fe2 = std::make_unique<server::Server>(of_second);
     const auto to_first = startRouter(*fe1, 10440);
     const auto to_second = startRouter(*fe2, 10442);
-    RawClient client(RawClient::Routers{to_first, to_second}, issued(Kind::Client, "client1"));
-    EXPECT_EQ(client.facts.token.rfind("fe1/", 0), 0U) << client.facts.token;
+    RawClient mine(RawClient::Routers{to_first, to_second}, issued(Kind::Client, "client1"));
+    EXPECT_EQ(mine.facts.token.rfind("fe1/", 0), 0U) << mine.facts.token;
     // Where servers send what is for its clients, by the file of its certificate.
     EXPECT_FALSE(comesIn(issued(Kind::Client, "client1"), "nobody", ssl(10441))) << routers.front()->text();
-    client.stop("");
-    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); })) << kLog->all();
+    mine.stop("");
+    EXPECT_TRUE(waitUntil([&] { return mine.log.has("signal stop accepted for 0"); })) << kLog->all();
     EXPECT_EQ(refused(*fe1), 0) << kLog->all();
     EXPECT_EQ(refused(*fe2), 0) << kLog->all();
 }
