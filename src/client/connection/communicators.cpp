@@ -32,7 +32,7 @@ Result<void> Communicators::open(const Options& options) {
         const auto& server = options.server;
         auto milliseconds = std::max<long long>(
             1, std::chrono::duration_cast<std::chrono::milliseconds>(toDuration(options.timeout)).count());
-        if (const auto tried = transport::routerTriedFor(server); transport::isRouter(server) && tried)
+        if (const auto tried = transport::routerTriedFor(server))
             milliseconds = std::min<long long>(milliseconds, *tried);
         auto properties = options.properties;
         properties.try_emplace("Ice.Override.ConnectTimeout", std::to_string(milliseconds));

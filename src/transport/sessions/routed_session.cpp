@@ -196,7 +196,7 @@ std::string wayToRouter(const std::string& router, bool has_certificate) {
 
 std::optional<int> routerTriedFor(const std::string& router) {
     constexpr int kOneOfSeveralMs = 300;
-    return partsOf(router).size() > 2 ? std::optional(kOneOfSeveralMs) : std::nullopt;
+    return isRouter(router) && partsOf(router).size() > 2 ? std::optional(kOneOfSeveralMs) : std::nullopt;
 }
 
 std::shared_ptr<Ice::ObjectPrx> sameRouter(const std::shared_ptr<Ice::ObjectPrx>& router,

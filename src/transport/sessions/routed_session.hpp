@@ -50,7 +50,7 @@ bool isRouter(const std::string& server);
 std::string wayToRouter(const std::string& router, bool has_certificate);
 
 /// How long a new connection to one of several routers may take before the next one is tried, in
-/// milliseconds. Nothing where the proxy has one endpoint.
+/// milliseconds. Nothing where the proxy has one endpoint, or is the address of a server.
 std::optional<int> routerTriedFor(const std::string& router);
 
 /// The proxy of one of several routers: that to which this connection leads. Both lanes of a peer go through

@@ -35,6 +35,7 @@ TEST(WayToARouter, OneOfSeveralIsGivenUpSoon) {
     EXPECT_FALSE(routerTriedFor("Axon.Clients/router:tcp -h a -p 1"));
     EXPECT_FALSE(routerTriedFor("Axon.Clients/router:tcp -h \"::1\" -p 1"));
     EXPECT_FALSE(routerTriedFor("127.0.0.1:10410"));
+    EXPECT_FALSE(routerTriedFor("ssl://lab:10410"));
 }
 
 TEST(WayToARouter, IsTlsOrNot) {
