@@ -168,6 +168,14 @@ class Cluster:
         """Of the programs whose names begin so: fe, es, icestorm, …"""
         return [program["name"] for program in self.status["programs"] if program["name"].startswith(kinds)]
 
+    def record(self, name):
+        """Of the process of that program, for processes.strike() of deploy/cluster."""
+        return json.loads((self.folder / "running.json").read_text())[name]
+
+    def start_again(self, name):
+        """A program that was killed."""
+        self.do("restart", name)
+
     def kill(self):
         """kill -9 of every server."""
         for name in self.names("fe", "es"):

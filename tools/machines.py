@@ -121,7 +121,8 @@ class Machines:
             env={**self.lab.env, "PATH": f"{self.lab.bin}:{self.lab.env['PATH']}"})
         plan = hosts.read(text, self.folder / "hosts.txt", self.at)
         self.registry = plan.host("icegridregistry")
-        self.programs = {program.name: plan.host(program.name) for program in configuration.programs(plan) if program.by_node}
+        self.programs = {program.name: plan.host(program.name) for program in configuration.programs(plan)
+                         if not program.name.startswith("icegridnode")}
         files = [self.folder / "out" / hosts.FOR_CLIENTS / "client.cfg", self.folder / "out" / hosts.FOR_ENTITIES / "entitygl2client.cfg"]
         for file in files:
             file.write_text(file.read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={file.parent}/certs"))
@@ -138,7 +139,7 @@ class Machines:
         self.status = {"client_config": str(files[0]), "entity_config": str(files[1]), "programs": [
             {"name": program.name, "log": str(self.here(plan.host(program.name)) / "log" / f"{program.name}.log"),
              "ports": {what: f"{host}:{port}" for what, (host, port) in program.ports.items()}}
-            for program in configuration.programs(plan) if program.by_node]}
+            for program in configuration.programs(plan) if program.name in self.programs]}
 
     def start(self):
         self.at.mkdir()
@@ -172,8 +173,15 @@ class Machines:
         """Of the programs whose names begin so: fe, es, icestorm, …"""
         return [name for name in self.programs if name.startswith(kinds)]
 
+    def machine(self, name):
+        """That of a program."""
+        return self.machines[self.programs[name]]
+
     def record(self, name):
         """Of the process of that program, for processes.strike(); None where there was none."""
+        if name == "icegridregistry":
+            pid = self.registry_process.child.pid
+            return {"pid": pid, "ticks": processes.start_ticks(pid), "boot": processes.boot_id()}
         return record(self.here(self.programs[name]), name)
 
     def runs(self, name):
@@ -188,6 +196,13 @@ class Machines:
         if said := self.admin(f"server stop {name}"):
             raise laboratory.Failed(said)
         laboratory.wait_until(lambda: self.runs(name) and self.record(name) != before, f"{name} is started again", SECONDS)
+
+    def start_again(self, name):
+        """A program that was killed."""
+        if name == "icegridregistry":
+            self.registry_process.end()
+            self.start_registry()
+        laboratory.wait_until(lambda: self.runs(name), f"{name} is started again", SECONDS)
 
     def kill(self):
         """kill -9 of every server."""
