@@ -214,6 +214,8 @@ class Machines:
                        if program["name"].startswith(("fe", "es")))
 
     def end(self):
+        for machine in self.machines.values():
+            machine.plug_cable()  # a node without its registry takes a minute to end
         for node in self.nodes:  # all at once; each ends its programs first
             node.child.terminate()
         for node in self.nodes:
