@@ -4,9 +4,9 @@
 
     {"id": 1, "do": "work", "robot": "robot-1"}   holds it and starts a long task; answered when that runs
     {"id": 2, "do": "use", "robot": "robot-1"}    ends that task, holds it and runs a short one
-    {"id": 3, "do": "drill", "robot": "robot-1"}  tests whether a stop of its would arrive at the application
-    {"id": 4, "do": "take", "robot": "robot-1"}   tries to check it out, for who must be refused; gives it back at once
-    {"id": 1, "refused": ""}                      done; or what was refused, and why
+    {"id": 3, "do": "drill", "robot": "robot-1"}  tests whether its stop would arrive at the application
+    {"id": 4, "do": "take", "robot": "robot-1"}   tries to check it out, and gives it back at once
+    {"id": 1, "code": "", "refused": ""}          done; or what was refused, and why
 
 Ends with its input. The first argument is its name, the second one a configuration file.
 """
@@ -17,7 +17,7 @@ import threading
 
 import axon
 
-REQUEST_S = 2.0  # so long a request may take: it is tried again
+REQUEST_S = 2.0  # a request may take that long, and is tried again
 LONG_S = 3600
 
 
@@ -69,14 +69,16 @@ def main():
     def carry_out(request):
         try:
             getattr(holder, request["do"])(request["robot"])
-            answer(id=request["id"], refused="")
+            answer(id=request["id"], code="", refused="")
         except axon.Refused as error:
-            answer(id=request["id"], refused=f"{request['do']}: {error}")
+            answer(id=request["id"], code=error.code.name, refused=f"{request['do']}: {error}")
+        except Exception as error:  # pylint: disable=broad-except
+            answer(id=request["id"], code="INTERNAL", refused=f"{request['do']}: {error!r}")
 
-    answer(id=0, refused="")
+    answer(id=0, code="", refused="")
     for line in sys.stdin:
         threading.Thread(target=carry_out, args=(json.loads(line),), daemon=True).start()
-    os._exit(0)  # what still waits for an answer is not wanted any more
+    os._exit(0)  # without the answers that still wait
 
 
 if __name__ == "__main__":

@@ -7,20 +7,19 @@
 
 In a trial every robot runs a task of its client, and a program of the cluster is killed (kill -9), frozen (SIGSTOP) or cut
 off. Each robot must stop within the watchdog + 100 ms, unless its connection to its client does not go through that
-program; a drill shows that. A robot whose connection certainly does not go through it must not stop at all. What happens
-then is the kind's:
+program; a drill shows that. A robot that answers it, or whose connection certainly does not go through the program, must
+not stop at all. What happens then depends on the kind:
 
     kill-…       the program is started again, and nothing else
     lose-…       it stays away: another program of its kind takes over
-    freeze-…     as lose-…, or for a program of which there is one only and without which nothing can be used, it goes on
-                 after 6 s
+    freeze-…     as lose-…, or, where nothing can be used without it and it has no replacement, it goes on after 6 s
     partition-…  as lose-…: the program has a machine of its own, whose cable is pulled
 
 Within 5 s the same clients must hold and use every robot, the lists of all front-end servers that run must agree, and no
 other client may be able to check out what they hold. At last a program that was away comes back, and the lists of all
 must agree again.
 The kinds of IceGrid's registry, of replicas of IceStorm and of partitions run on machines that are network namespaces,
-which takes root; the others on one cluster without TLS. Each client is a process with the Python package of the build.
+which need root; the others on one cluster without TLS. Each client is a process with the Python package of the build.
 Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
@@ -54,7 +53,7 @@ USABLE_S = 5.0
 ANSWER_S = 20  # a client's answer, also while it looks for another router
 STALL_MS = 50
 ENTITIES_MAX, CLIENTS_MAX = 64, 32
-PYTHON = "/usr/bin/python3"  # for which the package is built, unless AXON_PYTHON_PROGRAM says otherwise
+PYTHON = "/usr/bin/python3"  # the build must have its package for this one, as it does unless AXON_PYTHON_PROGRAM names another
 FROZEN_S = 6.0  # longer than any time-out of a session
 HARMS = {"kill": "kills", "lose": "kills, and does not start again,", "freeze": "freezes", "partition": "cuts off"}
 Kind = collections.namedtuple("Kind", "victim harm promise environment", defaults=("cluster",))
@@ -168,7 +167,7 @@ class Client:
             said = json.loads(line)
             with self.lock:
                 place = self.waiting.pop(said["id"])
-            place.put(said["refused"])
+            place.put((said["code"], said["refused"]))
 
     def wait_until_ready(self):
         try:
@@ -176,18 +175,25 @@ class Client:
         except queue.Empty:
             raise Failed(f"{self.name} got no session within {ANSWER_S} s; see its log") from None
 
-    def does(self, what, robot):
-        """What was refused, or an empty text."""
+    def tries(self, what, robot):
+        """(name of the refusal's code, what was refused and why); two empty texts if it was done. Raises Failed if it has ended."""
         place = queue.Queue()
         with self.lock:
             self.asked += 1
             self.waiting[self.asked] = place
-            self.child.stdin.write(json.dumps({"id": self.asked, "do": what, "robot": robot}) + "\n")
-            self.child.stdin.flush()
+            try:
+                self.child.stdin.write(json.dumps({"id": self.asked, "do": what, "robot": robot}) + "\n")
+                self.child.stdin.flush()
+            except OSError as error:
+                raise Failed(f"{self.name} has ended; see its log: {error}") from error
         try:
             return place.get(timeout=ANSWER_S)
         except queue.Empty:
-            return f"{what}: no answer within {ANSWER_S} s"
+            return "TIMED_OUT", f"{what}: no answer within {ANSWER_S} s"
+
+    def does(self, what, robot):
+        """What was refused, or an empty text."""
+        return self.tries(what, robot)[1]
 
     def end(self):
         self.child.kill()
@@ -229,7 +235,8 @@ class Report:
         def line(series):
             return "  ".join(f"{key} {value}" for key, value in series.items())
         told = self.as_dict()
-        lines = [f"{self.kind}: {self.trials} trials", f"  stops: {line(told['stop_ms'])} ms; kept their chain: {self.kept}, of whom {self.spared} had nothing to do with it",
+        lines = [f"{self.kind}: {self.trials} trials", f"  stops: {line(told['stop_ms'])} ms; kept their chain: {self.kept}",
+                 f"  had nothing to do with it: {self.spared}, of whom {self.disturbed_beside_stall} stopped just after the host stood still",
                  f"  usable again after: {line(told['usable_s'])} s; lists agree: {line(told['lists_agree_s'])} s",
                  f"  causes: {', '.join(f'{cause} {n}' for cause, n in self.causes.items()) or 'none'}"]
         lines += [f"  broken: {sentence}" for sentence in self.violations]
@@ -286,23 +293,28 @@ class Run:
         def one(index):
             try:
                 results[index] = does(robots[index])
-            except (Failed, subprocess.SubprocessError, OSError) as error:
+            except Failed as error:
                 results[index] = error
         threads = [threading.Thread(target=one, args=(index,)) for index in range(len(robots))]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
+        for result in results:
+            if isinstance(result, Exception):
+                raise result
         return results
 
     def prepare(self):
-        """Every robot is held by its client and busy."""
+        """Every robot is held by its client and busy; who holds which, {name: "server:client"}."""
         def busy(robot):
             wait_until(lambda: not robot.client.does("work", robot.name), f"{robot.name} is held by {robot.client.name} and works", 30)
-        for problem in self.for_each(self.robots, busy):
-            if problem:
-                raise problem
-        wait_until(lambda: all(entity["state"] == "BUSY" for entity in self.lab.entities()), "every robot is busy", 20)
+        self.for_each(self.robots, busy)
+
+        def holders():
+            busy = {entity["name"]: entity["holder_id"] for entity in self.lab.entities() if entity["state"] == "BUSY"}
+            return len(busy) == len(self.robots) and busy
+        return wait_until(holders, "every robot is busy", 20)
 
     def candidates(self, kind):
         """The programs of the kind."""
@@ -322,31 +334,30 @@ class Run:
         return None if kind.victim == ENTITY_SERVER else set()
 
     def trial(self, kind, report):
-        self.prepare()
+        holders = self.prepare()
         candidates = self.candidates(kind)
         replaceable = len(candidates) > 1
         victim = self.random.choice(candidates)
-        affected = self.affected(kind, victim, {entity["name"]: entity["holder_id"] for entity in self.lab.entities()})
+        affected = self.affected(kind, victim, holders)
         must, spared = (set(), set()) if affected is None else (affected, set(self.names) - affected)
         server = self.lab.server
         record = server.record(victim)
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
         begin = time.monotonic()
         if kind.harm == "partition":
-            server.machine(victim).pull_cable()
-            begin = time.monotonic()  # the command takes longer than the pull, which is its last act
+            server.machine(victim).pull_cable()  # within some milliseconds, by a command
         elif kind.harm == "freeze":
             processes.strike(record, signal.SIGSTOP, 0)
         else:
             processes.strike(record, signal.SIGKILL, 5.0)
-        back_by_itself = kind.victim in (REGISTRY, REPLICA)  # nothing was lost with it
+        not_needed = kind.victim in (REGISTRY, REPLICA)  # everything can be used without it
         try:
-            self.judge_stops(victim, begin, must, report)
+            spared |= self.judge_stops(victim, begin, must, report)
             if kind.harm == "kill":
                 back = time.monotonic()
                 server.start_again(victim)
                 self.judge_recovery(victim, back, "came back", (), report)
-            elif replaceable or back_by_itself:
+            elif replaceable or not_needed or kind.harm != "freeze":
                 self.judge_recovery(victim, begin, {"lose": "was lost", "freeze": "froze", "partition": "was cut off"}[kind.harm], (victim,), report)
             else:
                 time.sleep(max(0.0, begin + FROZEN_S - time.monotonic()))
@@ -358,28 +369,30 @@ class Run:
                 server.machine(victim).plug_cable()
         if kind.harm == "lose":
             server.start_again(victim)
-        if kind.harm == "freeze" and not replaceable and not back_by_itself:
+        if kind.harm == "freeze" and not replaceable and not not_needed:
             self.judge_recovery(victim, back, "went on", (), report)
         elif kind.harm != "kill":
             self.judge_lists(victim, back, "came back", (), report)
             self.judge_holder(report)
         self.judge_others(victim, begin, spared, report)
+        if kind.environment == "machines":
+            server.up()  # two replicas away at once would be another trial
         report.trials += 1
-        return victim
 
     def judge_others(self, victim, begin, spared, report):
-        """Who had nothing to do with it was not disturbed, not even when the others came back."""
+        """Robots that had nothing to do with it were not disturbed, not even when the others came back."""
         report.spared += len(spared)
         for robot in self.robots:
             stop = robot.first_stop(begin) if robot.name in spared else None
             if not stop:
                 continue
-            if self.probe.overlap_ms(begin, stop[0]) > STALL_MS:
+            if self.probe.overlap_ms(stop[0] - STOP_MS / 1000, stop[0]) > STALL_MS:
                 report.disturbed_beside_stall += 1
             else:
                 report.violation(f"{robot.name} stopped ({stop[1]}) {(stop[0] - begin) * 1000:.0f} ms after {victim} was harmed, which had nothing to do with it")
 
     def judge_stops(self, victim, begin, must, report):
+        """Returns the names of those that have not stopped and whose client still reaches them."""
         def wait_for(names, until):
             while not all(robot.first_stop(begin) for robot in self.robots if robot.name in names) and time.monotonic() < until:
                 time.sleep(0.002)
@@ -407,6 +420,7 @@ class Run:
             else:
                 report.never += 1
                 report.violation(f"{robot.name} went on without a chain after {victim} was harmed: {refused}")
+        return {robot.name for robot in going}
 
     def judge_recovery(self, victim, since, how, without, report):
         """`since`: when the time begins in which everything must be usable; `without`: the programs that are not there."""
@@ -424,8 +438,6 @@ class Run:
 
         ends = self.for_each(self.robots, usable)
         for robot, end in zip(self.robots, ends):
-            if isinstance(end, Exception):
-                raise end
             if end is None or end > limit:
                 when = "is not usable" if end is None else f"was usable only {end - since:.1f} s"
                 report.violation(f"{robot.name} {when} after {victim} {how}: {said[robot.name]}")
@@ -436,9 +448,19 @@ class Run:
         self.judge_holder(report)
 
     def judge_holder(self, report):
-        for robot, refused in zip(self.robots, self.for_each(self.robots, lambda robot: self.other.does("take", robot.name))):
-            if not refused:
-                report.violation(f"{robot.name} was given to a second client")
+        """Another client, which may have to look for another router first, is refused each robot because it is held."""
+        limit = time.monotonic() + USABLE_S + PATIENCE_S
+
+        def take(robot):
+            while True:
+                code, refused = self.other.tries("take", robot.name)
+                if code in ("", "ALREADY_HELD") or time.monotonic() > limit:
+                    return code, refused
+                time.sleep(0.05)
+
+        for robot, (code, refused) in zip(self.robots, self.for_each(self.robots, take)):
+            if code != "ALREADY_HELD":
+                report.violation(f"{robot.name} was not refused to a second client because it is held: {refused or 'it was given'}")
 
     def judge_lists(self, victim, since, how, without, report):
         """What each front-end server says that there is and who holds it, asked directly."""
@@ -463,11 +485,7 @@ class Run:
 
 def run_kinds(options, environment, kinds, reports):
     """Adds a report for each kind; how often the host stood still."""
-    try:
-        run = Run(options, environment)
-    except unittest.SkipTest as error:
-        print(f"cluster_faults: {error}", file=sys.stderr)
-        sys.exit(2)
+    run = Run(options, environment)
     before = len(reports)
     try:
         run.start()
@@ -480,7 +498,7 @@ def run_kinds(options, environment, kinds, reports):
             if sys.stderr.isatty():
                 print("\r\033[K", end="", file=sys.stderr)
             print(reports[-1].text(), flush=True)
-    except Failed as error:
+    except (Failed, subprocess.SubprocessError) as error:
         print(f"cluster_faults: {error}", file=sys.stderr)
         reports.append(Report("could not go on"))
         reports[-1].violation(str(error))
@@ -527,6 +545,11 @@ def main():
     if not (python := options.bin.resolve().parent / "python" / "axon").exists():
         parser.error(f"{python} does not exist; fix: build with AXON_PYTHON=ON")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    if any(KINDS[kind].environment == "machines" for kind in kinds):
+        try:
+            machines.enter()
+        except unittest.SkipTest as error:
+            parser.exit(2, f"cluster_faults: {error}\n")
     reports, stalls = [], 0
     for environment in ("cluster", "machines"):
         if chosen := [kind for kind in kinds if KINDS[kind].environment == environment]:

@@ -8,6 +8,7 @@ import os
 import pathlib
 import pwd
 import signal
+import ssl
 import subprocess
 import sys
 import unittest
@@ -18,13 +19,15 @@ import configuration  # noqa: E402
 import hosts  # noqa: E402
 import laboratory  # noqa: E402
 import processes  # noqa: E402
-from grid import Grid, record  # noqa: E402
+import probe  # noqa: E402
+from grid import record  # noqa: E402
 
 NETWORK = "10.88.0"
 THREE = {f"{NETWORK}.1": "icegridregistry icestorm1 fe1 client-router", f"{NETWORK}.2": "icestorm2 es1 entity-router",
          f"{NETWORK}.3": "icestorm3"}
 SECONDS = 60
 CLONE_NEWNET = 0x40000000
+DISABLED, FORWARDING = 0, 3  # states of a switch's port
 _cables = itertools.count(1)
 _entered = []
 
@@ -49,7 +52,7 @@ def enter():
     try:  # in another process first: there is no way back
         run("unshare", "--net", "--mount", "sh", "-c", "ip link add switch type bridge && ip link add one type veth peer name other")
     except (laboratory.Failed, OSError) as error:
-        raise unittest.SkipTest(f"network namespaces cannot be made here (it takes root and iproute2): {error}") from error
+        raise unittest.SkipTest(f"network namespaces cannot be made here (they need root and iproute2): {error}") from error
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.unshare(CLONE_NEWNET) != 0:
         raise unittest.SkipTest(f"network namespaces cannot be made here: {os.strerror(ctypes.get_errno())}")
@@ -61,7 +64,7 @@ def enter():
 
 
 class Machine:
-    """Its namespaces live as long as the process that holds them."""
+    """Two namespaces, for its network and its files. They live as long as the process that holds them, and what runs there."""
 
     def __init__(self, address, folder, at, lab):
         """`folder`: what lies at `at` for those who are on it."""
@@ -83,13 +86,15 @@ class Machine:
         return ["nsenter", "--target", str(self.holder.child.pid), "--net", "--mount", *words]
 
     def pull_cable(self):
-        """Nothing comes or goes any more, and nobody is told."""
-        run("ip", "link", "set", self.cable, "nomaster")
+        """From now on the switch drops all that comes from it or is for it, and nobody is told."""
+        run("bridge", "link", "set", "dev", self.cable, "state", DISABLED)
 
     def plug_cable(self):
-        run("ip", "link", "set", self.cable, "master", "switch")
+        run("bridge", "link", "set", "dev", self.cable, "state", FORWARDING)
 
     def end(self):
+        with contextlib.suppress(laboratory.Failed):
+            run("ip", "link", "delete", self.cable)
         self.holder.kill()
 
 
@@ -100,7 +105,7 @@ class Machines:
         self.lab, self.layout = lab, layout
         self.folder = lab.folder / "cluster"
         self.at = lab.folder / "at"  # where each machine sees its own folder
-        self.machines, self.nodes, self.registry = {}, [], None
+        self.machines, self.nodes, self.registry, self.registry_process = {}, [], None, None
 
     def up(self):
         """Starts the machines; where they run, waits for what their nodes start again."""
@@ -108,6 +113,7 @@ class Machines:
             self.configure()
             self.start()
         laboratory.wait_until(lambda: all(map(self.runs, self.programs)), "every program runs", SECONDS)
+        laboratory.wait_until(lambda: all(map(self.answers, self.names("icestorm"))), "every replica of IceStorm answers", SECONDS)
         client = {**self.lab.env, "AXON_CONFIG": self.status["client_config"]}
         laboratory.wait_until(lambda: self.lab.axon("ls", env=client)[0] == 0, "a client gets a session", SECONDS)
 
@@ -119,7 +125,7 @@ class Machines:
         run(self.lab.bin / "axon", "certs", "init", "--folder", self.folder / "certs", env=self.lab.env)
         run("sh", self.folder / "out" / "certificates.sh", self.folder / "certs",
             env={**self.lab.env, "PATH": f"{self.lab.bin}:{self.lab.env['PATH']}"})
-        plan = hosts.read(text, self.folder / "hosts.txt", self.at)
+        plan = self.plan = hosts.read(text, self.folder / "hosts.txt", self.at)
         self.registry = plan.host("icegridregistry")
         self.programs = {program.name: plan.host(program.name) for program in configuration.programs(plan)
                          if not program.name.startswith("icegridnode")}
@@ -156,7 +162,8 @@ class Machines:
         self.registry_process = self.start_on(self.registry, "icegridregistry")
 
     def start_on(self, address, program):
-        return laboratory.Process(f"{program}-{address}", self.machines[address].does(program, f"--Ice.Config={self.at}/{program}.cfg"),
+        words = self.machines[address].does("setpriv", "--pdeathsig", "TERM", program, f"--Ice.Config={self.at}/{program}.cfg")
+        return laboratory.Process(f"{program}-{address}", words,
                                   self.lab.folder, self.lab.env)
 
     def here(self, machine):
@@ -164,7 +171,7 @@ class Machines:
         return self.folder / "out" / machine
 
     def admin(self, words):
-        """What IceGrid says to it, or why it says nothing."""
+        """What IceGrid answers, or why it does not."""
         words = self.machines[self.registry].does("icegridadmin", f"--Ice.Config={self.at}/icegridadmin.cfg", "-e", words)
         done = subprocess.run(words, env=self.lab.env, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=SECONDS, check=False)
         return done.stdout + done.stderr
@@ -186,6 +193,18 @@ class Machines:
 
     def runs(self, name):
         return processes.runs(self.record(name))
+
+    def answers(self, name):
+        """Whether a replica of IceStorm does, which speaks to servers only."""
+        certs = self.here(self.programs["fe1"]) / "certs"
+        stem = configuration.certificate_of(self.plan, "fe1")
+        context = ssl.create_default_context(cafile=certs / "ca.cert.pem")
+        context.load_cert_chain(certs / f"{stem}.cert.pem", certs / f"{stem}.key.pem")
+        try:
+            probe.ping(self.programs[name], self.plan.port(name, "topics"), "IceStorm/TopicManager", context)
+            return True
+        except probe.NoAnswer:
+            return False
 
     def do(self, verb, name):
         """As axon-cluster's kill and restart. The program's node starts again what ends."""
@@ -215,14 +234,15 @@ class Machines:
 
     def end(self):
         for machine in self.machines.values():
-            machine.plug_cable()  # a node without its registry takes a minute to end
+            with contextlib.suppress(laboratory.Failed):
+                machine.plug_cable()  # a node without its registry takes a minute to end
         for node in self.nodes:  # all at once; each ends its programs first
             node.child.terminate()
         for node in self.nodes:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 node.child.wait(SECONDS)
             node.end()
-        if self.nodes:
+        if self.registry_process:
             self.registry_process.end()
         for machine in self.machines.values():
             machine.end()
