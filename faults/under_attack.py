@@ -49,7 +49,7 @@ TOLD = {"lists_of_stops": "audit: drill by guest@", "long_lists_of_stops": "clie
         "stops_of_another": "audit: stop by guest@", "log_ins": "audit: failed log-in of 'nobody", "sessions": "client guest@example joined",
         "all_statuses": "client guest@example", "large_messages": "client bob@example", "small_messages": None, "check_outs": None,
         "unreadable_calls": "cannot be read", "statuses": "is not believed", "profiles": "Hostile", "registrations": "Hostile",
-        "long_passwords": None, "silent_connections": "of one address without a session", "words_to_a_client": None, "words_to_a_robot": None}
+        "long_passwords": None, "silent_connections": "of one address without a session", "half_open_tls": None, "words_to_a_client": None, "words_to_a_robot": None}
 
 
 class Siege:
@@ -95,8 +95,8 @@ class Siege:
     def under(self, name):
         logged = len(self.lab.server.text())
         quiet, before = self.drill(), self.lab.server.mib()
-        attack = subprocess.Popen([sys.executable, TESTS / "hostile" / "attacks.py", GENERATED.name, self.lab.at["client"],
-                                   self.lab.at["entity"], name, "3600"], stdout=subprocess.PIPE, text=True)
+        attack = subprocess.Popen([sys.executable, TESTS / "hostile" / "attacks.py", GENERATED.name,
+                                   *(f"{self.lab.at[kind]},{self.lab.at[kind + '-tls']}" for kind in ("client", "entity")), name, "3600"], stdout=subprocess.PIPE, text=True)
         try:
             if attack.stdout.readline() != "attacks\n":
                 raise Failed(f"the attack {name} did not begin")
@@ -135,7 +135,7 @@ def main():
     wanted = arguments.attacks.split(",") if arguments.attacks else ATTACKS
     if unknown := [name for name in wanted if name not in ATTACKS]:
         parser.error(f"unknown: {', '.join(unknown)}; expected some of {', '.join(ATTACKS)}")
-    lab, figures = make_laboratory(), []
+    lab, figures = make_laboratory(tls=True), []
     try:
         siege = Siege(lab)
         print(f"{'attack':22} {'quiet p50':>10} {'p99 ms':>8} {'under p50':>10} {'p99 ms':>8} {'MiB':>7} {'under':>7} {'blows':>8}")

@@ -13,6 +13,7 @@
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
+#include "transport/ice/gate_calls.hpp"
 #include "transport/ice/tls.hpp"
 
 namespace axon::transport {
@@ -186,6 +187,12 @@ std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communic
                  Ice::stringToIdentity(kSslPermissionsVerifier));
     adapter->add(std::make_shared<CertificateSessionManagerServant>(door),
                  Ice::stringToIdentity(kSslSessionManager));
+    adapter->addDefaultServant(
+        std::make_shared<GateCalls>(nullptr, [&routers = door.routers](const std::string& peer,
+                                                                       const std::string& why) {
+            routers.noteCall(peer, why);
+        }),
+        "");
     return adapter;
 }
 
