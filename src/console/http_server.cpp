@@ -3,6 +3,7 @@
 
 #include <arpa/inet.h>
 #include <fcntl.h>
+#include <linux/tcp.h>
 #include <microhttpd.h>
 #include <netinet/in.h>
 #include <poll.h>
@@ -31,7 +32,7 @@ namespace axon::console {
 namespace {
 
 constexpr std::size_t kMemoryOfOne = 16 * 1024;  // of a connection: its request and the header of its answer
-constexpr unsigned kSilenceSeconds = 20;  // of libmicrohttpd; Deadlines has ended most before
+constexpr unsigned kSilenceSeconds = 20;         // of libmicrohttpd; Deadlines has ended most before
 constexpr int kBacklog = 64;
 constexpr std::chrono::milliseconds kLongest{60'000};
 
@@ -271,16 +272,18 @@ struct HttpServer::Parts {
         return MHD_NO;
     }
 
-    /// A connection ends that has not sent a complete request. Its peer may have left; otherwise libmicrohttpd
-    /// has closed it, which tells nobody why.
-    void endOfSilent(int fd) const {
-        char byte = 0;
-        const auto came = ::recv(fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
-        if (came == 0 || (came < 0 && errno != EAGAIN && errno != EWOULDBLOCK)) return;
-        core->turnAway(endOf(fd, ::getpeername), RefusalCode::Malformed,
-                       settings.certificate.empty() ? "what it sent is no request of HTTP, or is too large"
-                                                    : "what it sent is no TLS, or no request of HTTP, or is "
-                                                      "too large");
+    /// A connection ends that has not sent a complete request. One that has said something is told:
+    /// libmicrohttpd tells nobody what it does not understand, and its peer may be the first to leave.
+    void endOfSilent(MHD_Connection* connection, int fd) const {
+        tcp_info its{};
+        socklen_t size = sizeof its;
+        if (::getsockopt(fd, IPPROTO_TCP, TCP_INFO, &its, &size) != 0 || its.tcpi_bytes_received == 0) return;
+        const auto* info = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
+        core->turnAway(
+            info == nullptr ? "an unknown address" : textOf(info->client_addr, sizeof(sockaddr_in)),
+            RefusalCode::Malformed,
+            settings.certificate.empty() ? "what it sent is no complete request of HTTP"
+                                         : "what it sent is no TLS, or no complete request of HTTP");
     }
 
     static std::uint32_t peerOf(MHD_Connection* connection) {
@@ -302,7 +305,7 @@ struct HttpServer::Parts {
                 its_peer != parts.connections.end() && --its_peer->second == 0)
                 parts.connections.erase(its_peer);
             const int fd = static_cast<int>(reinterpret_cast<intptr_t>(*its));
-            if (parts.silent.erase(fd) > 0 && !parts.stopping) parts.endOfSilent(fd);
+            if (parts.silent.erase(fd) > 0 && !parts.stopping) parts.endOfSilent(connection, fd);
             parts.deadlines->closed(fd);
         }
     }
@@ -391,7 +394,7 @@ struct HttpServer::Parts {
     // Of its thread only:
     std::optional<Deadlines> deadlines;
     std::set<ExchangePtr> waiting;
-    std::set<int> silent;  // connections that have not sent a complete request yet
+    std::set<int> silent;                           // connections that have not sent a complete request yet
     std::map<std::uint32_t, unsigned> connections;  // of each address
     std::thread thread;
 };

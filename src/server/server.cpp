@@ -698,16 +698,17 @@ class Server::Parts {
     /// Who does not speak the protocol of the port: into the log, and into the trail.
     void noteBroken(const std::string& peer, const std::string& adapter, const std::string& why) {
         const auto what = "a connection to " + adapter;
-        if (broken_lines.admit(steady.now())) note("audit: " + what + " from " + peer + " was closed: " + why);
+        if (broken_lines.admit(steady.now()))
+            note("audit: " + what + " from " + peer + " was closed: " + why);
         logins.turnedAway(peer, what, {RefusalCode::Malformed, why, {}});
     }
     /// Those that are refused before they say anything, into the trail; the log has them. And those that then
     /// do not speak Ice.
     void watchStrangers(const std::shared_ptr<Ice::Communicator>& communicator,
                         transport::LinkTrust* its_links) {
-        transport::onBrokenProtocol(
-            communicator, [this](const std::string& peer, const std::string& adapter,
-                                 const std::string& why) { noteBroken(peer, adapter, why); });
+        transport::onBrokenProtocol(communicator,
+                                    [this](const std::string& peer, const std::string& adapter,
+                                           const std::string& why) { noteBroken(peer, adapter, why); });
         const auto refused = [this](const std::string& peer, const std::string& why) {
             logins.turnedAway(peer, "a TLS handshake", {RefusalCode::PermissionDenied, why, {}});
         };

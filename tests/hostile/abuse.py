@@ -490,7 +490,7 @@ def say_wrong(siege, port, rng, wire):
 
 
 def garbage_to_tls(siege, port, rng, source):
-    wire = Wire(port.tls, source)
+    wire = Wire(port.tls, source, seconds=SLOW_SECONDS)  # some of it may be the beginning of a record
     try:
         wire.say(rng.choice((b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\xff" + rng.randbytes(rng.randrange(200, 3000)),
                              b"\x16\x03\x01\x00\xc8" + rng.randbytes(200))))
@@ -675,8 +675,9 @@ def call_of_servers(siege, port, rng, source):
 def unknown_verifier(siege, port, rng, source):
     """A wrong password by way of a router."""
     wire = Wire(port.plain, source).validated()
-    status, reply = wire.call("PermissionsVerifier", "checkPermissions", ice.text("ann") + ice.text("wrong %d" % rng.randrange(1000)))
-    if status == 0 and b"\1" == reply[-1:] and b"wrong" not in reply:
+    status, reply = wire.call("PermissionsVerifier", "checkPermissions", ice.text(rng.choice(("robot", "ann", "nobody"))) +
+                              ice.text("wrong %d" % rng.randrange(1000)), mode=rng.choice((2, 2, 2, 0)))  # 0: it is called otherwise
+    if status == 0 and reply[-1:] != b"\0":
         raise NotRefused(f"it was answered with {status}: {reply}")
     wire.close()
     return Case(wire.me, siege.router_door_plain)

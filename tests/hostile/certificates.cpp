@@ -3,8 +3,8 @@
 //
 //     hostile-certificates FOLDER
 //
-// makes FOLDER/{good,foreign,expired,early,revoked}/KIND.{cert,key}.pem for each kind, FOLDER/ca.cert.pem, and
-// FOLDER/revoked.crl.pem. All but the foreign ones are the CA's.
+// makes FOLDER/{good,foreign,expired,early,revoked}/KIND.{cert,key}.pem for each kind, FOLDER/ca.cert.pem,
+// and FOLDER/revoked.crl.pem. All but the foreign ones are the CA's.
 #include <gnutls/x509.h>
 
 #include <filesystem>

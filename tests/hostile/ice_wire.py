@@ -26,10 +26,10 @@ def encapsulation(content):
     return struct.pack("<i", len(content) + 6) + b"\1\1" + content
 
 
-def request(identity, operation, arguments=b"", category="", number=1, context=None, raw=None):
-    """A call; oneway with number 0. `raw`: the encapsulation as it is to be."""
+def request(identity, operation, arguments=b"", category="", number=1, context=None, raw=None, mode=0):
+    """A call; oneway with number 0. `raw`: the encapsulation as it is to be; `mode`: 2 of an idempotent operation."""
     pairs = list((context or {}).items())
-    body = (struct.pack("<i", number) + text(identity) + text(category) + size(0) + text(operation) + b"\0" + size(len(pairs)) +
+    body = (struct.pack("<i", number) + text(identity) + text(category) + size(0) + text(operation) + bytes([mode]) + size(len(pairs)) +
             b"".join(text(key) + text(value) for key, value in pairs) + (encapsulation(arguments) if raw is None else raw))
     return message(REQUEST, body)
 

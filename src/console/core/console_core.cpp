@@ -252,7 +252,7 @@ void ConsoleCore::login(const Request& request, const Site& site, std::function<
     const auto form = isForm(request.content_type) ? parseForm(request.body) : std::nullopt;
     if (!form || !form->contains("user") || !form->contains("password"))
         return reply(refuse(request, 400, RefusalCode::Malformed,
-                             "expected a body user=…&password=… of the type " + std::string(kFormType)));
+                            "expected a body user=…&password=… of the type " + std::string(kFormType)));
     logins_.login(form->find("user")->second, form->find("password")->second, request,
                   [this, site, peer = request.peer, old = cookie(request.cookie, cookieName(site)),
                    reply = std::move(reply)](Result<LoginPort::Visitor> who) {

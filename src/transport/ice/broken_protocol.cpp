@@ -76,8 +76,7 @@ class Watch final : public watched::ConnectionObserver {
 };
 
 /// Ice asks it for an observer of everything; only incoming connections have one, so that calls cost nothing.
-class Strangers final : public watched::CommunicatorObserver,
-                        public std::enable_shared_from_this<Strangers> {
+class Strangers final : public watched::CommunicatorObserver, public std::enable_shared_from_this<Strangers> {
   public:
     std::shared_ptr<watched::Observer> getConnectionEstablishmentObserver(
         const std::shared_ptr<Ice::Endpoint>&, const std::string&) override {

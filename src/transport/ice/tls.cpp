@@ -138,8 +138,7 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     void refused(const std::string& message) {
         if (message.find(kRefusedByUs) != std::string::npos) return;
         const auto* means = meaningOf(message);
-        if (means == nullptr)
-            means = message.rfind("failed to accept wss", 0) == 0 ? kNoTls : kWithoutReason;
+        if (means == nullptr) means = message.rfind("failed to accept wss", 0) == 0 ? kNoTls : kWithoutReason;
         const auto peer = addressIn(message, "remote");
         if (limit_.admit(clock_.now()))
             log()->warn("TLS: a connection from {} was refused: {} ({})", peer, means, said(message));

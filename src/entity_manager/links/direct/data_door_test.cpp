@@ -318,7 +318,8 @@ TEST_P(DataDoorTest, WhoIsTurnedAwayIsRecordedByItsAddress) {
     const LaneStranger silent(endpoint);
     EXPECT_TRUE(waitUntil([&] {
         clock.advance(100ms);
-        return trail.has("|refusal|||the entity|direct path: 1 connection from 127.0.0.1 was closed: no session");
+        return trail.has(
+            "|refusal|||the entity|direct path: 1 connection from 127.0.0.1 was closed: no session");
     })) << trail.last();
     EXPECT_TRUE(trail.last().ends_with("|OVERLOADED")) << trail.last();
     const auto before = trail.notes().size();
@@ -438,8 +439,9 @@ TEST_P(TlsDoorTest, ACertificateOfAnotherCaOrNoneIsTurnedAwayAndTheLogSaysWhy) {
         LaneStranger knocks(endpoint, tls.get(), "robot");
         EXPECT_TRUE(knocks.awaitClosed());
         EXPECT_TRUE(waitUntil([&, expected = std::string(why)] { return log->has(expected); })) << log->all();
-        EXPECT_TRUE(waitUntil([&, expected = std::string(why)] { return trail.last().find(expected) != std::string::npos; }))
-            << trail.last();
+        EXPECT_TRUE(waitUntil([&, expected = std::string(why)] {
+            return trail.last().find(expected) != std::string::npos;
+        })) << trail.last();
         EXPECT_TRUE(trail.has("@" + knocks.address() + "|")) << trail.last();
     }
     spdlog::set_default_logger(before);

@@ -184,8 +184,8 @@ class GateServant final : public slice::DirectGate {
                    std::function<void(const slice::Opened&)> response,
                    std::function<void(std::exception_ptr)> exception, const Ice::Current& current) override {
         const auto refuse = [exception, entity = entity_, refusals = refusals_,
-                             peer = transport::DirectConnection::peerOf(*current.con)](
-                                const Refusal& refusal) {
+                             peer =
+                                 transport::DirectConnection::peerOf(*current.con)](const Refusal& refusal) {
             refusals->refused(entity, peer, kSignalLane, refusal);
             exception(std::make_exception_ptr(transport::toIce(refusal)));
         };
@@ -323,10 +323,11 @@ DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators&
                                      transport::Idle::Watched);
         });
         const auto gate = std::make_shared<GateServant>(entity, clock, events, ice.refusals());
-        transport::addGate(*adapter, gate, kGate,
-                           [entity, refusals = ice.refusals()](const std::string& peer, const std::string& why) {
-                               refusals->refused(entity, peer, "a call", {RefusalCode::Malformed, why, {}});
-                           });
+        transport::addGate(
+            *adapter, gate, kGate,
+            [entity, refusals = ice.refusals()](const std::string& peer, const std::string& why) {
+                refusals->refused(entity, peer, "a call", {RefusalCode::Malformed, why, {}});
+            });
         signal_door_->watch = ice.limits().watch(
             transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
                 return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession

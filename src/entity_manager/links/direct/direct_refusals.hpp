@@ -24,8 +24,8 @@ class DirectRefusals {
     /// `trail` outlives this object; null: nothing is recorded.
     explicit DirectRefusals(audit::AuditTrail* trail) : trail_(audit::orNone(trail)) {}
 
-    /// `entity`: the UUID of the one whose port it is; empty where several share it. `peer`: "10.0.0.9:50122".
-    /// `what`: that was refused, such as "a data lane".
+    /// `entity`: the UUID of the one whose port it is; empty where several share it. `peer`:
+    /// "10.0.0.9:50122". `what`: that was refused, such as "a data lane".
     void refused(const std::string& entity, const std::string& peer, const std::string& what,
                  const Refusal& refusal) {
         if (lines_.admit(clock_.now()))

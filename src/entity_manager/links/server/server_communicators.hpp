@@ -21,8 +21,8 @@ namespace axon::entity_manager {
 /// its Entity Managers.
 class ServerCommunicators {
   public:
-    /// `properties`: of Ice (Ice.*, IceSSL.*), for both. `trail`: of who is turned away at the ports of direct
-    /// paths; null: nobody is told. Throws std::runtime_error for settings Ice does not accept.
+    /// `properties`: of Ice (Ice.*, IceSSL.*), for both. `trail`: of who is turned away at the ports of
+    /// direct paths; null: nobody is told. Throws std::runtime_error for settings Ice does not accept.
     explicit ServerCommunicators(int data_threads = 2, int signal_threads = 1,
                                  const std::map<std::string, std::string>& properties = {},
                                  audit::AuditTrail* trail = nullptr);
