@@ -7,7 +7,7 @@
 
 #include "common/clock.hpp"
 #include "direct/lane/tls_channel.hpp"
-#include "entity_manager/links/direct/direct_refusals.hpp"
+#include "entity_manager/links/direct_refusals.hpp"
 #include "entity_manager/ports/direct_lane.hpp"
 
 namespace axon::entity_manager {

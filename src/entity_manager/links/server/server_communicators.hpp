@@ -10,7 +10,7 @@
 
 #include "common/clock.hpp"
 #include "common/release.hpp"
-#include "entity_manager/links/direct/direct_refusals.hpp"
+#include "entity_manager/links/direct_refusals.hpp"
 #include "transport/ice/connection_limits.hpp"
 
 namespace axon::entity_manager {
