@@ -477,7 +477,7 @@ IceSSL.KeyFile={certificate}.key.pem
 IceSSL.VerifyPeer=2
 # The certificate must be for the address that was called:
 IceSSL.CheckCertName=1
-IceSSL.ProtocolVersionMin=tls1_3
+IceSSL.Protocols=TLS1_3
 """
 
 

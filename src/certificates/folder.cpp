@@ -298,7 +298,7 @@ std::string configuration(const Request& request, const std::string& stem, const
         "# Both sides show a certificate of this CA, and a server's must be for the name it was called by.\n"
         "IceSSL.VerifyPeer=2\n"
         "IceSSL.CheckCertName=1\n"
-        "IceSSL.ProtocolVersionMin=tls1_3\n";
+        "IceSSL.Protocols=TLS1_3\n";
     return text;
 }
 

@@ -3,6 +3,7 @@
 
 #include <arpa/inet.h>
 #include <fcntl.h>
+#include <linux/tcp.h>
 #include <microhttpd.h>
 #include <netinet/in.h>
 #include <poll.h>
@@ -31,7 +32,7 @@ namespace axon::console {
 namespace {
 
 constexpr std::size_t kMemoryOfOne = 16 * 1024;  // of a connection: its request and the header of its answer
-constexpr unsigned kSilenceSeconds = 15;
+constexpr unsigned kSilenceSeconds = 20;         // of libmicrohttpd; Deadlines has ended most before
 constexpr int kBacklog = 64;
 constexpr std::chrono::milliseconds kLongest{60'000};
 
@@ -109,6 +110,14 @@ std::uint32_t addressOf(const sockaddr* its, socklen_t size) {
     if (its == nullptr || size < static_cast<socklen_t>(sizeof(sockaddr_in)) || its->sa_family != AF_INET)
         return 0;
     return ntohl(reinterpret_cast<const sockaddr_in*>(its)->sin_addr.s_addr);
+}
+
+std::string textOf(const sockaddr* its, socklen_t size) {
+    if (addressOf(its, size) == 0) return "an unknown address";
+    const auto& end = *reinterpret_cast<const sockaddr_in*>(its);
+    char text[INET_ADDRSTRLEN] = {};
+    inet_ntop(AF_INET, &end.sin_addr, text, sizeof text);
+    return text + (":" + std::to_string(ntohs(end.sin_port)));
 }
 
 int descriptorOf(MHD_Connection* connection) {
@@ -237,7 +246,13 @@ struct HttpServer::Parts {
             waker->drain();
             MHD_run(daemon);
             // Read by libmicrohttpd as the peer's end.
-            for (const int late : deadlines->late()) ::shutdown(late, SHUT_RDWR);
+            for (const int late : deadlines->late()) {
+                if (silent.erase(late) > 0)
+                    core->turnAway(endOf(late, ::getpeername), RefusalCode::TimedOut,
+                                   "no request of it was complete in " +
+                                       std::to_string(Deadlines::kRequest.count()) + " s");
+                ::shutdown(late, SHUT_RDWR);
+            }
         }
     }
 
@@ -250,7 +265,25 @@ struct HttpServer::Parts {
         const auto& parts = *static_cast<const Parts*>(cls);
         const auto address = addressOf(peer, size);
         const auto found = parts.connections.find(address);
-        return found == parts.connections.end() || found->second < parts.mostOf(address) ? MHD_YES : MHD_NO;
+        const auto most = parts.mostOf(address);
+        if (found == parts.connections.end() || found->second < most) return MHD_YES;
+        parts.core->turnAway(textOf(peer, size), RefusalCode::Overloaded,
+                             "more than " + std::to_string(most) + " of one address");
+        return MHD_NO;
+    }
+
+    /// A connection ends that has not sent a complete request. One that has said something is told:
+    /// libmicrohttpd tells nobody what it does not understand, and its peer may be the first to leave.
+    void endOfSilent(MHD_Connection* connection, int fd) const {
+        tcp_info its{};
+        socklen_t size = sizeof its;
+        if (::getsockopt(fd, IPPROTO_TCP, TCP_INFO, &its, &size) != 0 || its.tcpi_bytes_received == 0) return;
+        const auto* info = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
+        core->turnAway(
+            info == nullptr ? "an unknown address" : textOf(info->client_addr, sizeof(sockaddr_in)),
+            RefusalCode::Malformed,
+            settings.certificate.empty() ? "what it sent is no complete request of HTTP"
+                                         : "what it sent is no TLS, or no complete request of HTTP");
     }
 
     static std::uint32_t peerOf(MHD_Connection* connection) {
@@ -265,12 +298,15 @@ struct HttpServer::Parts {
             const int fd = descriptorOf(connection);
             *its = reinterpret_cast<void*>(static_cast<intptr_t>(fd));
             parts.deadlines->opened(fd);
+            parts.silent.insert(fd);
             ++parts.connections[peerOf(connection)];
         } else {
             if (const auto its_peer = parts.connections.find(peerOf(connection));
                 its_peer != parts.connections.end() && --its_peer->second == 0)
                 parts.connections.erase(its_peer);
-            parts.deadlines->closed(static_cast<int>(reinterpret_cast<intptr_t>(*its)));
+            const int fd = static_cast<int>(reinterpret_cast<intptr_t>(*its));
+            if (parts.silent.erase(fd) > 0 && !parts.stopping) parts.endOfSilent(connection, fd);
+            parts.deadlines->closed(fd);
         }
     }
 
@@ -333,6 +369,7 @@ struct HttpServer::Parts {
         auto& request = exchange->request;
         const int fd = descriptorOf(connection);
         deadlines->asked(fd);
+        silent.erase(fd);
         request.host = header(connection, MHD_HTTP_HEADER_HOST);
         request.origin = header(connection, MHD_HTTP_HEADER_ORIGIN);
         request.cookie = header(connection, MHD_HTTP_HEADER_COOKIE, "; ");
@@ -357,6 +394,7 @@ struct HttpServer::Parts {
     // Of its thread only:
     std::optional<Deadlines> deadlines;
     std::set<ExchangePtr> waiting;
+    std::set<int> silent;                           // connections that have not sent a complete request yet
     std::map<std::uint32_t, unsigned> connections;  // of each address
     std::thread thread;
 };

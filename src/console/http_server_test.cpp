@@ -50,6 +50,15 @@ class HeldLogins final : public LoginPort {
         const std::lock_guard lock(mutex_);
         held_.push_back(std::move(answered));
     }
+    void turnedAway(const std::string& peer, const std::string&, const Refusal& refusal) override {
+        const std::lock_guard lock(mutex_);
+        turned_away_.push_back(peer + ": " + refusal.message);
+    }
+    bool hasTurnedAway(const std::string& words) {
+        const std::lock_guard lock(mutex_);
+        return std::any_of(turned_away_.begin(), turned_away_.end(),
+                           [&](const auto& one) { return one.find(words) != std::string::npos; });
+    }
     std::size_t count() {
         const std::lock_guard lock(mutex_);
         return held_.size();
@@ -63,6 +72,7 @@ class HeldLogins final : public LoginPort {
   private:
     std::mutex mutex_;
     std::vector<Answered> held_;
+    std::vector<std::string> turned_away_;
 };
 
 class HttpServerTest : public testing::Test {
@@ -235,6 +245,31 @@ TEST_F(HttpServerTest, WhatIsNoHttpIsClosed) {
     }
     EXPECT_EQ(logins.count(), 0U);
     EXPECT_TRUE(serves());
+}
+
+TEST_F(HttpServerTest, WhatIsNoRequestIsRecordedByItsAddress) {
+    const auto addressOf = [](const Descriptor& fd) {
+        sockaddr_in its{};
+        socklen_t size = sizeof its;
+        ::getsockname(fd.get(), reinterpret_cast<sockaddr*>(&its), &size);
+        return ":" + std::to_string(ntohs(its.sin_port)) + ": ";
+    };
+    const auto garbage = connected();
+    write(garbage, std::string("\0\1\2\3\r\n\r\n", 8));
+    read(garbage);
+    EXPECT_TRUE(waitUntil([&] { return logins.hasTurnedAway(addressOf(garbage) + "what it sent is no"); }));
+    const auto slow = connected();
+    write(slow, "GET / HT");
+    readWhileTimePasses(slow);
+    EXPECT_TRUE(waitUntil([&] { return logins.hasTurnedAway(addressOf(slow) + "no request of it was"); }));
+    {
+        const auto leaves = connected();
+        const auto its = addressOf(leaves);
+        ::shutdown(leaves.get(), SHUT_WR);
+        read(leaves);
+        EXPECT_TRUE(serves());
+        EXPECT_FALSE(logins.hasTurnedAway(its)) << "it left";
+    }
 }
 
 TEST_F(HttpServerTest, AnOriginThatIsNullOrThereTwiceIsForeign) {

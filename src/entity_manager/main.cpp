@@ -62,7 +62,7 @@ int main(int argc, char** argv) {
         // It beats for the robot application, whose watchdog is the shortest: not behind what else wants the
         // processor.
         asio::post(executor, [] { transport::requestRealTime(transport::kReceiptPriority); });
-        const auto ice = std::make_shared<ServerCommunicators>(1, 1, options.ice_properties);
+        const auto ice = std::make_shared<ServerCommunicators>(1, 1, options.ice_properties, trail.get());
         if (!options.server.router.empty())
             transport::routerProxy(*ice->data(), options.server.router);  // or a fix
         const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,

@@ -137,9 +137,14 @@ void LoginDesk::entity(LoginRequest request, Answer answer) {
 void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
     const auto address = request.peer.substr(0, request.peer.rfind(':'));
     // Before it waits: nobody keeps memory here that the server has not asked for.
+    const auto turnAway = [&](const Refusal& its) {
+        if (lines_.admit(steady_.now()))
+            note_("audit: a log-in from " + request.peer + " was refused: " + its.message);
+        answer(its);
+    };
     if (request.user.size() > kLoginTextMax || request.password.size() > kLoginTextMax)
-        return answer(refuse(RefusalCode::Malformed, "expected a user name and a password of at most " +
-                                                         std::to_string(kLoginTextMax) + " bytes each"));
+        return turnAway(refuse(RefusalCode::Malformed, "expected a user name and a password of at most " +
+                                                           std::to_string(kLoginTextMax) + " bytes each"));
     std::optional<Refusal> refusal;
     const auto digest = has_users_ && !request.user.empty() ? digestOf(request.password) : std::nullopt;
     {
@@ -160,7 +165,7 @@ void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
             ++waiting_;
         }
     }
-    if (refusal) return answer(std::move(*refusal));
+    if (refusal) return turnAway(*refusal);
     changed_.notify_one();
 }
 

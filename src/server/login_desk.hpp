@@ -13,6 +13,7 @@
 
 #include "audit/note.hpp"
 #include "common/clock.hpp"
+#include "common/rate_limit.hpp"
 #include "server/login_guard.hpp"
 #include "transport/ice/login.hpp"
 #include "users/present_users.hpp"
@@ -108,6 +109,8 @@ class LoginDesk final : public transport::Logins, public users::PresentUsers {
     const OwnerOf owner_of_;
     audit::AuditTrail& trail_;
     Digest key_{};
+    const SteadyClock steady_{};  // of what strangers cost, also where the laboratory's time stands
+    RateLimit lines_{10};         // of the log, in a second, of log-ins that are refused before they wait
     // Of its thread only.
     LoginGuard guard_;
 

@@ -15,6 +15,7 @@
 #include "certificates/folder.hpp"
 #include "certificates/trust.hpp"
 #include "common/ids.hpp"
+#include "common/rate_limit.hpp"
 #include "common/release.hpp"
 #include "common/shared_clock.hpp"
 #include "entity_server/entity_server.hpp"
@@ -25,6 +26,7 @@
 #include "server/console_station.hpp"
 #include "server/login_desk.hpp"
 #include "transport/ice/adapter.hpp"
+#include "transport/ice/broken_protocol.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/connection_limits.hpp"
 #include "transport/ice/endpoint.hpp"
@@ -534,7 +536,7 @@ class Server::Parts {
           signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
           receipts(transport::makeCommunicator(receiptSettings(settings))) {
         const bool both = settings.role == ServerRole::Both;
-        for (const auto* one : {&data, &signal, &receipts}) watchHandshakes(one->communicator(), links.get());
+        for (const auto* one : {&data, &signal, &receipts}) watchStrangers(one->communicator(), links.get());
         if (settings.role != ServerRole::FrontEnd) {
             auto its = entitySettings(settings, links.get());
             its.logins = &logins;
@@ -621,7 +623,7 @@ class Server::Parts {
             browsers.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Data)));
             browser_signals.emplace(transport::makeCommunicator(browserSettings(settings, Lane::Signal)));
             for (const auto* one : {&*browsers, &*browser_signals})
-                watchHandshakes(one->communicator(), nullptr);
+                watchStrangers(one->communicator(), nullptr);
             transport::DoorSettings door;
             door.data = {socketForm(settings.console.session_endpoint), browsers->communicator(),
                          &console->logins()};
@@ -693,9 +695,20 @@ class Server::Parts {
                    .what = line,
                    .outcome = refusalName(RefusalCode::Overloaded)});
     }
-    /// Those that are refused, into the trail; the log has them.
-    void watchHandshakes(const std::shared_ptr<Ice::Communicator>& communicator,
-                         transport::LinkTrust* its_links) {
+    /// Who does not speak the protocol of the port: into the log, and into the trail.
+    void noteBroken(const std::string& peer, const std::string& adapter, const std::string& why) {
+        const auto what = "a connection to " + adapter;
+        if (broken_lines.admit(steady.now()))
+            note("audit: " + what + " from " + peer + " was closed: " + why);
+        logins.turnedAway(peer, what, {RefusalCode::Malformed, why, {}});
+    }
+    /// Those that are refused before they say anything, into the trail; the log has them. And those that then
+    /// do not speak Ice.
+    void watchStrangers(const std::shared_ptr<Ice::Communicator>& communicator,
+                        transport::LinkTrust* its_links) {
+        transport::onBrokenProtocol(communicator,
+                                    [this](const std::string& peer, const std::string& adapter,
+                                           const std::string& why) { noteBroken(peer, adapter, why); });
         const auto refused = [this](const std::string& peer, const std::string& why) {
             logins.turnedAway(peer, "a TLS handshake", {RefusalCode::PermissionDenied, why, {}});
         };
@@ -708,6 +721,7 @@ class Server::Parts {
     const std::shared_ptr<const Clock> time = clockFromEnvironment();
     const Clock& clock = *time;
     const SteadyClock steady{};  // of what peers cost, also where the laboratory's time stands
+    RateLimit broken_lines{10};  // of the log, in a second
     transport::ConnectionLimits limits{steady, [this](const std::string& line) { noteClosed(line); }};
     std::optional<transport::ConnectionLimits> browser_limits;  // where there is a console
     SystemRandom random;

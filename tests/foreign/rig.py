@@ -18,9 +18,10 @@ BIN = programs()
 USERS = {"ann": "operator", "bob": "operator", "chief": "admin", "guest": "observer", "robot": "entity"}
 
 
-def make_laboratory():
+def make_laboratory(tls=False):
     """Everything runs: axon-server with these users and with an endpoint for routers (lab.at["client-router"]), the robot
-    application (lab.app), its Entity Manager (lab.manager). Whoever calls ends it."""
+    application (lab.app), its Entity Manager (lab.manager). With `tls` the server speaks that, too, at ports of their own
+    (lab.at["client-tls"], …). Whoever calls ends it."""
     if not (BIN / "foreign-counter").exists():
         sys.exit(f"{BIN} has no foreign-counter, the robot application of these tests; fix: build it in that folder's preset, such as "
                  "cmake --preset release -DAXON_TESTS=ON && cmake --build --preset release --target "
@@ -36,8 +37,19 @@ def make_laboratory():
         config = lab.folder / "manager.cfg"
         config.touch(0o600)
         config.write_text("Axon.LeaseGrace=0.5\nAxon.User=robot\nAxon.Password=word of robot\n")
-        (lab.folder / "server.cfg").write_text("FrontEndServerRouter.Endpoints=127.0.0.1:0\n")
-        lab.start_server(None, "--users", users, "--config", lab.folder / "server.cfg")
+        lines, doors = "FrontEndServerRouter.Endpoints=127.0.0.1:0\n", {}
+        if tls:
+            for words in (("init",), ("issue", "--server", "localhost")):
+                status, _, errors = lab.axon("certs", *words, "--folder", str(lab.folder / "certs"))
+                if status != 0:
+                    sys.exit(f"axon certs {' '.join(words)}: {errors}")
+            lines += (lab.folder / "certs/server-localhost.cfg").read_text()
+            doors = {name: "tcp -h 127.0.0.1 -p 0:ssl -h 127.0.0.1 -p 0" for name in ("client", "client-signal", "entity", "entity-signal")}
+        (lab.folder / "server.cfg").write_text(lines)
+        lab.start_server(doors, "--users", users, "--config", lab.folder / "server.cfg")
+        for name in doors:
+            lab.at[name], lab.at[f"{name}-tls"] = lab.at[name].split(",")
+        lab.env["AXON_SERVER"] = lab.at["client"]
         lab.app = lab.start("app", "foreign-counter", HERE / "robot", lab.folder / "ports.cfg", lab.application)
         lab.manager = lab.start_manager("", "--config", config)
     except BaseException:

@@ -42,6 +42,7 @@ class Passwords final : public LoginPort {
         if (right) return answered(Visitor{user, "operator"});
         answered(refuse(RefusalCode::PermissionDenied, "wrong user or password"));
     }
+    void turnedAway(const std::string&, const std::string&, const Refusal&) override {}
     bool right = false;
 };
 

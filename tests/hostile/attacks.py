@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """What one who may log in, or merely reaches a port, can do as fast as one core lets it: one attack for some seconds.
 
-    /usr/bin/python3 tests/hostile/attacks.py GENERATED HOST:PORT HOST:PORT ATTACK SECONDS
+    /usr/bin/python3 tests/hostile/attacks.py GENERATED HOST:PORT[,ssl://HOST:PORT] HOST:PORT[,ssl://HOST:PORT] ATTACK SECONDS
 
-GENERATED: what slice2py and protoc make of the contracts. The addresses: of the server for clients, and for entities.
+GENERATED: what slice2py and protoc make of the contracts. The addresses: of the server for clients, and for entities; those of TLS are
+for attacks that need it.
 Prints "attacks" when it begins, and "has attacked COUNT" at the end, or at a SIGTERM. Its clients are the users guest and
 bob, its entities are called Hostile. Who is dropped comes back.
 """
+import contextlib
 import pathlib
 import resource
+import selectors
 import signal
 import socket
+import ssl
 import sys
 import time
 import uuid
@@ -25,6 +29,7 @@ from client import Client  # noqa: E402
 from peer import Peer  # noqa: E402
 
 BATCH = 64
+HALF_OPEN = 1000
 ANY = tuple(map(CommUtil.EntityState.valueOf, range(9)))
 
 
@@ -32,7 +37,9 @@ class Attack:
     """Its public methods are attacks, each a generator that yields after every blow. A helper's name begins with _."""
 
     def __init__(self, client_address, entity_address):
-        self.at = {"client": client_address, "entity": entity_address}
+        both = {"client": client_address.split(","), "entity": entity_address.split(",")}
+        self.at = {kind: addresses[0] for kind, addresses in both.items()}
+        self.tls = [addresses[1].removeprefix("ssl://") for addresses in both.values() if len(addresses) > 1]
         self.open = []
 
     def _client(self, user="guest"):
@@ -126,6 +133,37 @@ class Attack:
         finally:
             for one in silent:
                 one.close()
+
+    def half_open_tls(self):
+        """A thousand at a time, each in the middle of its handshake; whoever is closed comes back."""
+        if not self.tls:
+            sys.exit("half_open_tls needs addresses of TLS; fix: add ,ssl://HOST:PORT to those of the server")
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(16_384, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)
+        incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        trusting = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        trusting.check_hostname = False
+        with contextlib.suppress(ssl.SSLWantReadError):
+            trusting.wrap_bio(incoming, outgoing).do_handshake()
+        hello, waiting, number = outgoing.read(), selectors.DefaultSelector(), 0
+        try:
+            while True:
+                while len(waiting.get_map()) < HALF_OPEN:
+                    number += 1
+                    host, port = self.tls[number % len(self.tls)].rsplit(":", 1)
+                    one = socket.create_connection((host, int(port)), timeout=5)
+                    one.sendall(hello)
+                    waiting.register(one, selectors.EVENT_READ)
+                    yield
+                for key, _ in waiting.select(0.05):
+                    with contextlib.suppress(ConnectionError):
+                        if key.fileobj.recv(65536):
+                            continue  # the server's half of it
+                    waiting.unregister(key.fileobj)
+                    key.fileobj.close()
+                yield
+        finally:
+            for key in list(waiting.get_map().values()):
+                key.fileobj.close()
 
     def sessions(self):
         """That end as soon as they are there."""

@@ -12,6 +12,8 @@ namespace {
 
 using Json = nlohmann::json;
 
+constexpr const char* kConnection = "a connection to the web console";
+constexpr const char* kRequest = "a request to the web console";
 constexpr const char* kText = "text/plain; charset=utf-8";
 constexpr const char* kHtml = "text/html; charset=utf-8";
 constexpr const char* kJson = "application/json";
@@ -149,34 +151,58 @@ Answer ConsoleCore::secured(Answer answer, const Site* site) {
     return answer;
 }
 
+void ConsoleCore::turnAway(const std::string& peer, RefusalCode code, const std::string& why) {
+    strangers_("audit: console: a connection from " + peer + " was closed: " + why);
+    logins_.turnedAway(peer, kConnection, {code, why, {}});
+}
+
+Answer ConsoleCore::refuse(const Request& request, int status, RefusalCode code, const std::string& message) {
+    strangers_("audit: console: a request from " + request.peer + " was refused: " + message);
+    logins_.turnedAway(request.peer, kRequest, {code, message, {}});
+    return refused(status, code, message);
+}
+
 void ConsoleCore::handle(Request request, std::function<void(Answer)> reply) {
     const auto site = sites_.ofHost(request.host, addressOf(request.local));
     if (site && site->proxy && isOfThisMachine(request.peer))
         if (const auto client = forwardedFor(request.forwarded_for)) request.peer = *client + ":0";
     const auto answer = [&](Answer its) { reply(secured(std::move(its), site ? &*site : nullptr)); };
-    if (!site)
+    const auto record = [&](const std::string& why) {
+        strangers_("audit: console: a request from " + request.peer + " was refused: " + why);
+        logins_.turnedAway(request.peer, kRequest, {RefusalCode::PermissionDenied, why, {}});
+    };
+    if (!site) {
+        record("this server is not called by the name in its header Host");
         return answer(
             said(421, kText,
                  "This server is not called by that name.\nfix: call it by its address, or add the name to "
                  "Console.Names, or the address of the proxy to Console.Proxies, in the configuration of "
                  "axon-server\n"));
+    }
     const bool reads = request.method == "GET" || request.method == "HEAD";
     const bool acts = request.path == "/login" || request.path == "/logout" || request.path == "/ticket";
-    if (!acts) return answer(reads ? file(request, *site) : notPermitted("GET, HEAD"));
-    if (request.method != "POST") return answer(notPermitted("POST"));
+    if (acts ? request.method != "POST" : !reads) {
+        const auto* const methods = acts ? "POST" : "GET, HEAD";
+        record(std::string("its method is none of ") + methods);
+        return answer(notPermitted(methods));
+    }
+    if (!acts) return answer(file(request, *site));
     // A browser names the origin of every POST. What names none is no browser, and nobody's cookie is in it.
     if (request.origin != site->origin) {
         strangers_(std::string("audit: console: a request ") +
                    (request.origin.empty() ? "without an origin" : "of a foreign page") + " from " +
                    request.peer + " was refused");
-        return answer(refused(403, RefusalCode::PermissionDenied,
+        const Refusal foreign{RefusalCode::PermissionDenied,
                               "this request does not come from a page of this console; fix: open the console "
                               "at " +
-                                  site->origin));
+                                  site->origin,
+                              {}};
+        logins_.turnedAway(request.peer, kRequest, foreign);
+        return answer(refused(403, foreign.code, foreign.message));
     }
     if (request.too_large)
-        return answer(refused(413, RefusalCode::TooLarge,
-                              "the body of a request has at most " + std::to_string(kBodyMax) + " bytes"));
+        return answer(refuse(request, 413, RefusalCode::TooLarge,
+                             "the body of a request has at most " + std::to_string(kBodyMax) + " bytes"));
     if (request.path == "/login")
         return login(request, *site, [reply = std::move(reply), site = *site](Answer its) {
             reply(secured(std::move(its), &site));
@@ -225,8 +251,8 @@ void ConsoleCore::login(const Request& request, const Site& site, std::function<
     if (!logins_.needed()) return reply(json(200, {{"user", ""}, {"role", ""}}));
     const auto form = isForm(request.content_type) ? parseForm(request.body) : std::nullopt;
     if (!form || !form->contains("user") || !form->contains("password"))
-        return reply(refused(400, RefusalCode::Malformed,
-                             "expected a body user=…&password=… of the type " + std::string(kFormType)));
+        return reply(refuse(request, 400, RefusalCode::Malformed,
+                            "expected a body user=…&password=… of the type " + std::string(kFormType)));
     logins_.login(form->find("user")->second, form->find("password")->second, request,
                   [this, site, peer = request.peer, old = cookie(request.cookie, cookieName(site)),
                    reply = std::move(reply)](Result<LoginPort::Visitor> who) {
@@ -255,9 +281,13 @@ Answer ConsoleCore::ticket(const Request& request, const Site& site) {
     if (logins_.needed()) {
         const auto key = cookie(request.cookie, cookieName(site));
         const auto user = key ? visitors_.userOf(*key) : std::nullopt;
-        if (!user)
-            return refused(401, RefusalCode::PermissionDenied,
-                           "nobody is logged in here; fix: log in with user and password (POST /login)");
+        if (!user) {
+            const char* const why =
+                "nobody is logged in here; fix: log in with user and password (POST /login)";
+            // Without a cookie it is a browser's first visit.
+            return key ? refuse(request, 401, RefusalCode::PermissionDenied, why)
+                       : refused(401, RefusalCode::PermissionDenied, why);
+        }
         its["user"] = *user;
         its["password"] = visitors_.ticket(*user);
     }

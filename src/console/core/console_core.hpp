@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/refusal.hpp"
 #include "common/result.hpp"
 #include "console/core/sites.hpp"
 #include "console/core/visitors.hpp"
@@ -67,6 +68,8 @@ class LoginPort {
     /// `answered` is called once, perhaps before the call returns, on any thread.
     virtual void login(const std::string& user, const std::string& password, const Request& request,
                        Answered answered) = 0;
+    /// Somebody at this address was refused `what` he asked for. For the records.
+    virtual void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) = 0;
 };
 
 /// What the console answers to a request.
@@ -91,8 +94,12 @@ class ConsoleCore {
 
     /// `reply` is called once, perhaps before the call returns.
     void handle(Request request, std::function<void(Answer)> reply);
+    /// A connection from there was closed, or its request refused, before it was one that can be answered.
+    void turnAway(const std::string& peer, RefusalCode code, const std::string& why);
 
   private:
+    /// The answer to a request that is refused; the log and the records have it.
+    Answer refuse(const Request& request, int status, RefusalCode code, const std::string& message);
     Answer file(const Request& request, const Site& site);
     void login(const Request& request, const Site& site, std::function<void(Answer)> reply);
     Answer logout(const Request& request, const Site& site);

@@ -40,8 +40,12 @@ class FakeLogins final : public LoginPort {
         if (user == "later") return void(later = std::move(answered));
         answered(refuse(RefusalCode::PermissionDenied, "wrong user or password; fix: correct them"));
     }
+    void turnedAway(const std::string& its_peer, const std::string& what, const Refusal& refusal) override {
+        turned_away.push_back(its_peer + " | " + what + " | " + refusalName(refusal.code));
+    }
     bool users = true;
     int asked = 0;
+    std::vector<std::string> turned_away;
     std::string peer;
     Answered later;
 };
@@ -331,6 +335,33 @@ TEST_F(ConsoleCoreTest, WhereItsFolderIsConcernsThisMachineOnly) {
     its = request("GET", "/");
     its.host = "lab.example";
     EXPECT_THAT(*answer(its).body, Not(HasSubstr("/share/"))) << "anybody behind the proxy";
+}
+
+TEST_F(ConsoleCoreTest, WhatIsRefusedIsRecordedByTheAddress) {
+    auto foreign_host = request("GET", "/");
+    foreign_host.host = "rebound.example";
+    auto foreign_page = request("POST", "/login");
+    foreign_page.origin = "http://other.example";
+    auto large = logIn("");
+    large.too_large = true;
+    auto old_cookie = request("POST", "/ticket");
+    old_cookie.cookie = "axon-10417=0123456789abcdef0123456789abcdef";
+    for (const auto& [its, outcome] :
+         {std::pair{foreign_host, "PERMISSION_DENIED"}, std::pair{request("PUT", "/"), "PERMISSION_DENIED"},
+          std::pair{request("GET", "/login"), "PERMISSION_DENIED"},
+          std::pair{foreign_page, "PERMISSION_DENIED"}, std::pair{large, "TOO_LARGE"},
+          std::pair{logIn("user"), "MALFORMED"}, std::pair{old_cookie, "PERMISSION_DENIED"}}) {
+        const auto before = logins.turned_away.size();
+        EXPECT_GE(answer(its).status, 400);
+        ASSERT_EQ(logins.turned_away.size(), before + 1) << its.method << its.path;
+        EXPECT_EQ(logins.turned_away.back(),
+                  std::string("127.0.0.1:50122 | a request to the web console | ") + outcome);
+        EXPECT_THAT(notes.back(), HasSubstr("127.0.0.1:50122"));
+    }
+    const auto before = logins.turned_away.size();
+    EXPECT_EQ(answer(request("POST", "/ticket")).status, 401) << "a browser's first visit";
+    EXPECT_EQ(answer(request("GET", "/nothing")).status, 404);
+    EXPECT_EQ(logins.turned_away.size(), before);
 }
 
 }  // namespace

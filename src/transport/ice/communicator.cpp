@@ -12,6 +12,7 @@
 #include <cerrno>
 #include <stdexcept>
 
+#include "transport/ice/broken_protocol.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/peer_connection.hpp"
 #include "transport/ice/tls.hpp"
@@ -75,6 +76,7 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     for (const auto& [key, value] : settings.properties) init.properties->setProperty(key, value);
     const bool tls = speaksTls(settings.properties);
     if (tls) prepareTls(init, settings.properties);
+    prepareBrokenProtocol(init);
 
     // Ice runs the hook in each thread that it starts for this communicator.
     init.threadStart = [name = settings.name.substr(0, 15), lane = settings.lane,

@@ -58,6 +58,7 @@ constexpr Reason kReasons[] = {
     {"not yet valid", "the certificate is not yet valid (compare the clocks of the two machines)"},
     {"ostname mismatch", "the certificate is for other names"},
     {"P address mismatch", "the certificate is for other addresses"},
+    {"revoked", "the certificate has been revoked"},
     {"peer did not return a certificate", "no certificate was shown (axon certs issue makes one)"},
     {"unsupported certificate purpose", "the certificate is of another kind"},
     {"unsuitable certificate purpose", "the certificate is of another kind"},
@@ -73,6 +74,9 @@ constexpr Reason kReasons[] = {
 /// IceSSL 3.7.8 loses what OpenSSL says of a handshake in which no certificate came.
 constexpr const char* kWithoutReason =
     "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3";
+
+/// The same at a port that asks for no certificate.
+constexpr const char* kNoTls = "the peer does not speak TLS 1.3";
 
 const char* meaningOf(const std::string& said) {
     for (const auto& reason : kReasons)
@@ -110,7 +114,10 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     explicit TlsLog(bool all) : all_(all) {}
     void print(const std::string& message) override { log()->info("{}", onOneLine(message)); }
     void trace(const std::string& category, const std::string& message) override {
-        if (message.rfind("failed to accept ssl connection", 0) == 0) {
+        // A WebSocket that is not opened as it should is no matter of TLS (onBrokenProtocol()).
+        if (message.rfind("failed to accept ssl connection", 0) == 0 ||
+            (message.rfind("failed to accept wss connection", 0) == 0 &&
+             message.find("SSL") != std::string::npos)) {
             refused(message);
         } else if (all_) {
             log()->info("{}: {}", category, onOneLine(message));
@@ -131,7 +138,7 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     void refused(const std::string& message) {
         if (message.find(kRefusedByUs) != std::string::npos) return;
         const auto* means = meaningOf(message);
-        if (means == nullptr) means = kWithoutReason;
+        if (means == nullptr) means = message.rfind("failed to accept wss", 0) == 0 ? kNoTls : kWithoutReason;
         const auto peer = addressIn(message, "remote");
         if (limit_.admit(clock_.now()))
             log()->warn("TLS: a connection from {} was refused: {} ({})", peer, means, said(message));
@@ -167,6 +174,15 @@ bool answersPeers(const PeerCertificate& its) {
 /// Nothing also where IceSSL has let pass what it has not verified (IceSSL.VerifyPeer=0).
 std::optional<PeerCertificate> verifiedOf(const IceSSL::ConnectionInfo& info) {
     return info.verified ? contentOf(info) : std::nullopt;
+}
+
+/// Whether TLS 1.2 is spoken besides 1.3: by IceSSL.Protocols, the one key that IceSSL 3.7.8 obeys with
+/// OpenSSL, and without it by IceSSL.ProtocolVersionMin.
+bool speaksOlderTls(const std::string& protocols, std::string least) {
+    if (!protocols.empty()) return protocols.find("1_2") != std::string::npos;
+    std::transform(least.begin(), least.end(), least.begin(),
+                   [](unsigned char letter) { return static_cast<char>(std::tolower(letter)); });
+    return !least.empty() && !least.ends_with("1_3");  // tls1_3 and tlsv1_3
 }
 
 std::string peerOf(const IceSSL::ConnectionInfo& info) {
@@ -228,10 +244,7 @@ certificates::Credentials credentialsOf(const std::map<std::string, std::string>
     const auto verifies = value("IceSSL.VerifyPeer", "2");
     using Peer = certificates::Credentials::Peer;
     its.caller = verifies == "0" ? Peer::NotAsked : verifies == "1" ? Peer::Asked : Peer::Required;
-    auto least = value("IceSSL.ProtocolVersionMin", "tls1_3");
-    std::transform(least.begin(), least.end(), least.begin(),
-                   [](unsigned char letter) { return static_cast<char>(std::tolower(letter)); });
-    its.tls_1_2 = !least.ends_with("1_3");  // tls1_3 and tlsv1_3
+    its.tls_1_2 = speaksOlderTls(value("IceSSL.Protocols"), value("IceSSL.ProtocolVersionMin"));
     return its;
 }
 
@@ -261,7 +274,9 @@ void prepareTls(Ice::InitializationData& init, const std::map<std::string, std::
         {"Ice.Plugin.IceSSL", "IceSSL:createIceSSL"},
         {"IceSSL.VerifyPeer", "2"},
         {"IceSSL.CheckCertName", "1"},
-        {"IceSSL.ProtocolVersionMin", "tls1_3"},
+        {"IceSSL.Protocols", speaksOlderTls({}, init.properties->getProperty("IceSSL.ProtocolVersionMin"))
+                                 ? "TLS1_2,TLS1_3"
+                                 : "TLS1_3"},
         {"Ice.Trace.Network", "2"},  // for TlsLog
     };
     bool all = false;

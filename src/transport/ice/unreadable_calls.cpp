@@ -5,25 +5,39 @@
 
 #include <utility>
 
+#include "transport/ice/peer_connection.hpp"
+
 namespace axon::transport {
 
-UnreadableCalls::UnreadableCalls(std::shared_ptr<Ice::Object> servant, std::string peer)
-    : servant_(std::move(servant)), peer_(std::move(peer)) {}
+UnreadableCalls::UnreadableCalls(std::shared_ptr<Ice::Object> servant, std::string peer, Foreign foreign)
+    : servant_(std::move(servant)), peer_(std::move(peer)), foreign_(std::move(foreign)) {}
 
 UnreadableCalls::~UnreadableCalls() {
     if (count_ > 1) spdlog::warn("{}: {} calls could not be read", peer_, count_.load());
 }
 
 bool UnreadableCalls::dispatch(Ice::Request& request) {
+    const auto& current = request.getCurrent();
     try {
         return servant_->ice_dispatch(request);
     } catch (const Ice::MarshalException& error) {
-        note(request.getCurrent().operation, error.ice_id());
+        if (!isForeign(current)) note(current.operation, error.ice_id());
         throw;
     } catch (const Ice::OperationNotExistException&) {
-        note(request.getCurrent().operation, "no such operation");
+        if (!isForeign(current)) note(current.operation, "no such operation");
+        throw;
+    } catch (const Ice::ObjectNotExistException&) {
+        isForeign(current);
         throw;
     }
+}
+
+bool UnreadableCalls::isForeign(const Ice::Current& current) const {
+    if (!foreign_ || !current.con) return false;
+    const auto caller = DirectConnection::peerOf(*current.con);
+    if (caller == peer_) return false;
+    foreign_(caller);
+    return true;
 }
 
 void UnreadableCalls::note(const std::string& operation, const std::string& why) {

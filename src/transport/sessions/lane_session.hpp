@@ -12,6 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "common/clock.hpp"
+#include "common/rate_limit.hpp"
 #include "common/release.hpp"
 #include "transport/ice/adapter.hpp"
 #include "transport/ice/communicator.hpp"
@@ -19,6 +21,7 @@
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
 #include "transport/ice/endpoint.hpp"
+#include "transport/ice/gate_calls.hpp"
 #include "transport/ice/lane_socket.hpp"
 #include "transport/ice/login.hpp"
 #include "transport/ice/peer_connection.hpp"
@@ -50,14 +53,32 @@ struct SessionLane {
     Logins* door = nullptr;
     /// In place of `signal_endpoints`, where it depends on how the peer came.
     std::function<std::string(const PeerConnection& peer)> tell_signal_endpoint = {};
+    SteadyClock steady = {};
+    RateLimit lines{10};
 
     void turnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) const {
         if (door != nullptr) door->turnedAway(peer, what, refusal);
     }
+    /// The same, and the log has it, with at most ten lines in a second.
+    void tellTurnedAway(const std::string& peer, const std::string& what, const Refusal& refusal) {
+        if (lines.admit(steady.now()))
+            spdlog::warn("audit: {} of {} was refused: {}", what, peer, refusal.message);
+        turnedAway(peer, what, refusal);
+    }
+    /// For addGate(); `routers`: of their peers, who may be late, nothing is told; null: there are none.
+    GateCalls::Told ofStrangers(const RouterConnections* routers) {
+        return [this, routers](const std::string& peer, const std::string& why) {
+            if (routers == nullptr || !routers->has(peer)) noteCall(peer, why);
+        };
+    }
+    /// A call of a stranger that is none of the contracts', or is for the session of somebody else.
+    void noteCall(const std::string& peer, const std::string& why) {
+        tellTurnedAway(peer, "a call", {RefusalCode::Malformed, why, {}});
+    }
     /// The value; or it is told, and thrown, why there is none.
     template <class T>
-    T orTurnAway(Result<T> result, const PeerConnection& peer, const std::string& what) const {
-        if (!result.ok()) turnedAway(peer.peer(), what, result.refusal());
+    T orTurnAway(Result<T> result, const PeerConnection& peer, const std::string& what) {
+        if (!result.ok()) tellTurnedAway(peer.peer(), what, result.refusal());
         return valueOrThrow(std::move(result));
     }
     /// A session was opened for `peer` ("a client"), which has told this release.
@@ -198,8 +219,13 @@ std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
                                        const std::shared_ptr<Servant>& servant,
                                        const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
     valueOrThrow(lane.sessions.add(*peer, servant));
+    UnreadableCalls::Foreign foreign;
+    if (!peer->routed())
+        foreign = [&lane](const std::string& caller) {
+            lane.noteCall(caller, "the session belongs to another connection");
+        };
     auto proxy = Ice::uncheckedCast<SessionPrx>(
-        adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer())));
+        adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer(), std::move(foreign))));
     peer->onClosed([&lane, servant, key = peer->key(), adapter,
                     id = proxy->ice_getIdentity()](const CloseReason& reason) {
         lane.sessions.remove(key);
@@ -221,7 +247,7 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
                  std::function<void(std::exception_ptr)> refused, const Ice::Current& current) {
     const std::string session = std::string("a session of ") + Kind::kPeer;
     if (const auto other = otherContract(current.ctx)) {
-        lane.turnedAway(DirectConnection::peerOf(*current.con), session, *other);
+        lane.tellTurnedAway(DirectConnection::peerOf(*current.con), session, *other);
         return refused(std::make_exception_ptr(toIce(*other)));
     }
     const auto peer = std::make_shared<DirectConnection>(current.con);
@@ -241,7 +267,7 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
             lane.noteRelease(Kind::kPeer, release);
             opened(proxy);
         } catch (...) {
-            lane.turnedAway(peer->peer(), session, translate(std::current_exception()));
+            lane.tellTurnedAway(peer->peer(), session, translate(std::current_exception()));
             refused(std::current_exception());
         }
     };

@@ -58,6 +58,11 @@ Result<void> RouterConnections::admit(const std::shared_ptr<Ice::Connection>& co
     return {};
 }
 
+void RouterConnections::noteCall(const std::string& peer, const std::string& why) {
+    if (lines_.admit(clock_.now())) spdlog::warn("audit: a call of {} was refused: {}", peer, why);
+    if (logins_ != nullptr) logins_->turnedAway(peer, "a call", {RefusalCode::Malformed, why, {}});
+}
+
 void RouterConnections::turnedAway(const Ice::Connection& connection, const std::string& what,
                                    const Refusal& refusal) const {
     if (logins_ != nullptr) logins_->turnedAway(DirectConnection::peerOf(connection), what, refusal);

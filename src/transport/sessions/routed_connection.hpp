@@ -12,6 +12,8 @@
 #include <string>
 
 #include "certificates/certificate.hpp"
+#include "common/clock.hpp"
+#include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "transport/ice/login.hpp"
 #include "transport/ice/peer_connection.hpp"
@@ -43,6 +45,9 @@ class RouterConnections {
     Result<void> admit(const std::shared_ptr<Ice::Connection>& connection);
     /// Records who was refused what, and why.
     void turnedAway(const Ice::Connection& connection, const std::string& what, const Refusal& refusal) const;
+    /// A call that nobody answers (GateCalls), by whoever has connected: to the log, at most ten in a second,
+    /// and recorded.
+    void noteCall(const std::string& peer, const std::string& why);
     /// An admitted connection has brought this session's first call.
     void add(const Ice::Connection* connection, const std::shared_ptr<RoutedConnection>& session);
     void remove(const Ice::Connection* connection, const RoutedConnection* session);
@@ -55,6 +60,8 @@ class RouterConnections {
 
     Logins* const logins_;
     const certificates::Kind own_kind_;
+    const SteadyClock clock_{};
+    RateLimit lines_{10};
     std::mutex mutex_;
     // Guarded by mutex_; an entry for each admitted connection until it closes:
     std::map<const Ice::Connection*, std::map<const RoutedConnection*, std::weak_ptr<RoutedConnection>>>

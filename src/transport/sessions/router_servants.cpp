@@ -13,6 +13,7 @@
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
+#include "transport/ice/gate_calls.hpp"
 #include "transport/ice/tls.hpp"
 
 namespace axon::transport {
@@ -179,13 +180,17 @@ std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communic
                                                      const std::string& endpoint, RouterDoor& door) {
     // Until a router has called something (RouterConnections::admit()).
     auto adapter = listen(communicator, name, endpoint, kThreads, Idle::ClosedAfterASecond);
-    adapter->add(std::make_shared<PermissionsVerifierServant>(door),
-                 Ice::stringToIdentity(kPermissionsVerifier));
-    adapter->add(std::make_shared<SessionManagerServant>(door), Ice::stringToIdentity(kSessionManager));
-    adapter->add(std::make_shared<CertificateVerifierServant>(door),
-                 Ice::stringToIdentity(kSslPermissionsVerifier));
-    adapter->add(std::make_shared<CertificateSessionManagerServant>(door),
-                 Ice::stringToIdentity(kSslSessionManager));
+    const GateCalls::Told told = [&routers = door.routers](const std::string& peer, const std::string& why) {
+        routers.noteCall(peer, why);
+    };
+    const auto add = [&](std::shared_ptr<Ice::Object> servant, const char* name) {
+        adapter->add(std::make_shared<GateCalls>(std::move(servant), told), Ice::stringToIdentity(name));
+    };
+    add(std::make_shared<PermissionsVerifierServant>(door), kPermissionsVerifier);
+    add(std::make_shared<SessionManagerServant>(door), kSessionManager);
+    add(std::make_shared<CertificateVerifierServant>(door), kSslPermissionsVerifier);
+    add(std::make_shared<CertificateSessionManagerServant>(door), kSslSessionManager);
+    adapter->addDefaultServant(std::make_shared<GateCalls>(nullptr, told), "");
     return adapter;
 }
 

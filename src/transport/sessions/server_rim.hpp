@@ -53,15 +53,17 @@ class ServerRim {
           signal_adapter_(listen(*signal, kName + "Signal", settings.signal_endpoint, 0, Idle::Watched)),
           limits_(*settings.limits),
           links_(settings.links) {
-        const auto gate = Ice::stringToIdentity(Kind::kGate);
         data_lane_.logins = data_lane_.door = signal_lane_.door = settings.logins;
         data_lane_.releases = &releases_;
         data_lane_.server = signal_lane_.server = settings.name;
         data_lane_.signal_endpoints = publishedEndpoints(*signal_adapter_);
-        data_adapter_->add(std::make_shared<typename Kind::Gate>(data_lane_), gate);
-        signal_adapter_->add(std::make_shared<typename Kind::Gate>(signal_lane_), gate);
-        if (!settings.router_endpoint.empty()) {
+        if (!settings.router_endpoint.empty())
             routers_ = std::make_unique<RouterConnections>(settings.logins, Kind::kCertificate);
+        addGate(*data_adapter_, std::make_shared<typename Kind::Gate>(data_lane_), Kind::kGate,
+                data_lane_.ofStrangers(routers_.get()));
+        addGate(*signal_adapter_, std::make_shared<typename Kind::Gate>(signal_lane_), Kind::kGate,
+                signal_lane_.ofStrangers(routers_.get()));
+        if (routers_) {
             door_ = std::make_unique<RouterDoor>(
                 makeDoor<Kind>(data_lane_, data_adapter_, signal_lane_, signal_adapter_, *routers_));
             door_->neighbours = neighboursOf(*data, settings.neighbours);

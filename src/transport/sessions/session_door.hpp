@@ -43,9 +43,10 @@ class SessionDoor {
             return direct == nullptr ? std::string()
                                      : tell(peer.localAddress(), DirectConnection::originOf(*direct->get()));
         };
-        const auto gate = Ice::stringToIdentity(Kind::kGate);
-        data_adapter_->add(std::make_shared<typename Kind::Gate>(data_lane_), gate);
-        signal_adapter_->add(std::make_shared<typename Kind::Gate>(signal_lane_), gate);
+        addGate(*data_adapter_, std::make_shared<typename Kind::Gate>(data_lane_), Kind::kGate,
+                data_lane_.ofStrangers(nullptr));
+        addGate(*signal_adapter_, std::make_shared<typename Kind::Gate>(signal_lane_), Kind::kGate,
+                signal_lane_.ofStrangers(nullptr));
     }
 
     void activate() {

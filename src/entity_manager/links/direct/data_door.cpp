@@ -2,7 +2,6 @@
 #include "entity_manager/links/direct/data_door.hpp"
 
 #include <pthread.h>
-#include <spdlog/spdlog.h>
 #include <sys/socket.h>
 
 #include <asio/bind_executor.hpp>
@@ -21,7 +20,6 @@
 
 #include "common/frame.hpp"
 #include "common/ids.hpp"
-#include "common/rate_limit.hpp"
 #include "direct/lane/channel.hpp"
 #include "direct/lane/frames.hpp"
 #include "direct/lane/lane_outbox.hpp"
@@ -49,7 +47,6 @@ constexpr Duration kLooks = 100ms;
 constexpr Duration kTold = 11s;  // after the last connection was closed: the log hears of it within 10 s
 constexpr transport::ConnectionBounds kBounds{
     .strangers_of_one_address = 64, .strangers = 256, .to_log_in = 10s, .silence = 60s};
-constexpr int kTlsRefusalsPerSecond = 10;  // that the log tells
 constexpr std::size_t kStrangerBytes = 64 * 1024;
 constexpr const char* kHolderClosed = "its holder's end is closed";
 
@@ -152,6 +149,8 @@ class DataDoor::Connection final : public DirectLane,
         if (writeWhole(opening_.greeting()) && deliver()) read();
     }
     void end(const std::string& why);
+    /// The same, and it is told: it was not an honest peer's end.
+    void turnAway(RefusalCode code, const std::string& why);
     /// There is room for more.
     void goOn() {
         if (std::exchange(stalled_, false)) later();
@@ -216,10 +215,13 @@ class DataDoor::Connection final : public DirectLane,
                 if (error) return self->end(kHolderClosed);
                 // Over TLS that need not be a frame.
                 if (self->isStranger() && (self->heard_ += count) > kStrangerBytes)
-                    return self->end("it makes no claim");
+                    return self->turnAway(RefusalCode::Malformed, "it makes no claim");
                 const bool open = self->channel_->filled(self->reader_, count) != Channel::State::Over;
                 if (self->deliver() && open) return self->read();
-                if (!open) self->end(self->channel_->why());
+                if (open) return;
+                const auto why = self->channel_->why();
+                if (why.starts_with("TLS ")) return self->turnAway(RefusalCode::Malformed, why);
+                self->end(why);
             }));
     }
     /// What has been read. False when nothing more is to be read for now. Nothing may escape: the thread may
@@ -245,8 +247,8 @@ class DataDoor::Connection final : public DirectLane,
     }
     std::shared_ptr<DirectLane> admit(const Sender& sender, const std::string& proof);
     void refuse(const Refusal& refusal) {
-        if (!over_ && opening_.state() == ManagerOpening::State::Judged)
-            if (writeWhole(opening_.refuse(refusal))) end(refusal.message);
+        if (over_ || opening_.state() != ManagerOpening::State::Judged) return;
+        if (writeWhole(opening_.refuse(refusal))) turnAway(refusal.code, refusal.message);
     }
 
     const std::shared_ptr<Reader> thread_;  // before the socket, which ends first
@@ -275,10 +277,12 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
   public:
     Connections(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
                 std::string its_entity, Duration spin, const Clock& clock,
-                std::weak_ptr<DirectEvents> its_events, std::shared_ptr<const direct::lane::Tls> tls)
+                std::weak_ptr<DirectEvents> its_events, std::shared_ptr<const direct::lane::Tls> tls,
+                std::shared_ptr<DirectRefusals> refusals)
         : entity(std::move(its_entity)),
           events(std::move(its_events)),
           clock_(clock),
+          refusals_(refusals ? std::move(refusals) : std::make_shared<DirectRefusals>(nullptr)),
           tls_(std::move(tls)),
           thread_(std::make_shared<Reader>(strand, spin, tls_ != nullptr)),
           acceptor_(thread_->io, tcp::endpoint(asio::ip::make_address(address), port)),
@@ -305,9 +309,8 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
         for (const auto& connection : all()) connection->goOn();
     }
     void forget(std::uint64_t id) { connections_.erase(id); }
-    void noteRefused(const std::string& peer, const std::string& why) {
-        if (refusals_.admit(clock_.now()))
-            spdlog::warn("direct path: TLS: a connection from {} was refused: {}", peer, why);
+    void noteRefused(const std::string& peer, const std::string& what, const Refusal& refusal) {
+        refusals_->refused(entity, peer, what, refusal);
     }
     std::uint16_t port() const { return acceptor_.local_endpoint().port(); }
 
@@ -348,7 +351,7 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
                 strangers.push_back({id, connection->address, ConnectionLimitsCore::Peer::Stranger, {}});
         const auto now = clock_.now();
         const auto verdict = limits_.look(strangers, now);
-        for (const auto& line : verdict.notes) spdlog::warn("direct path: {}", line);
+        for (const auto& line : verdict.notes) refusals_->closed(entity, line);
         for (const auto id : verdict.close) {
             look_until_ = now + kTold;
             if (const auto found = connections_.find(id); found != connections_.end())
@@ -369,6 +372,7 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
     }
 
     const Clock& clock_;
+    const std::shared_ptr<DirectRefusals> refusals_;
     const std::shared_ptr<const direct::lane::Tls> tls_;  // null: plain
     SystemRandom random_;
     const std::shared_ptr<Reader> thread_;  // before the acceptor, which ends first
@@ -377,7 +381,6 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
     ConnectionLimitsCore limits_{kBounds};
     std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;
     const int accepts_per_look_ = tls_ ? kTlsAcceptsPerLook : kAcceptsPerLook;
-    RateLimit refusals_{kTlsRefusalsPerSecond};
     std::uint64_t last_ = 0;
     int accepted_ = 0;  // since the last look
     TimePoint look_until_{};
@@ -401,6 +404,12 @@ void DataDoor::Connection::end(const std::string& why) {
     if (const auto events = home->events.lock()) events->directClosed(path_, why);
 }
 
+void DataDoor::Connection::turnAway(RefusalCode code, const std::string& why) {
+    if (over_) return;
+    if (const auto home = home_.lock()) home->noteRefused(peer_, kDataLane, {code, why, {}});
+    end(why);
+}
+
 void DataDoor::Connection::shaken(bool lost) {
     handshaking_ = false;
     asio::error_code ignored;
@@ -409,7 +418,8 @@ void DataDoor::Connection::shaken(bool lost) {
     } else if (lost) {
         end(kHolderClosed);
     } else if (const auto why = channel_->why(); !why.empty()) {
-        if (const auto home = home_.lock()) home->noteRefused(peer_, why);
+        if (const auto home = home_.lock())
+            home->noteRefused(peer_, "TLS: a connection", {RefusalCode::PermissionDenied, why, {}});
         end(why);
     } else {
         start();
@@ -429,7 +439,8 @@ bool DataDoor::Connection::deliver() noexcept {
         if (!refused_) {
             const auto frame = reader_.nextView();
             if (!frame) {
-                if (reader_.failed()) end("it broke the protocol: " + reader_.error());
+                if (reader_.failed())
+                    turnAway(RefusalCode::Malformed, "it broke the protocol: " + reader_.error());
                 all = true;
                 break;
             }
@@ -439,7 +450,7 @@ bool DataDoor::Connection::deliver() noexcept {
             }
             const auto message = direct::lane::messageIn(*frame);
             if (!message) {
-                end("it broke the protocol: a frame is no message");
+                turnAway(RefusalCode::Malformed, "it broke the protocol: a frame is no message");
                 break;
             }
             // Both keep their memory from message to message.
@@ -489,9 +500,9 @@ std::shared_ptr<DirectLane> DataDoor::Connection::admit(const Sender& sender, co
 
 DataDoor::DataDoor(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
                    std::string entity, Duration spin, const Clock& clock, std::weak_ptr<DirectEvents> events,
-                   std::shared_ptr<const direct::lane::Tls> tls)
+                   std::shared_ptr<const direct::lane::Tls> tls, std::shared_ptr<DirectRefusals> refusals)
     : connections_(std::make_shared<Connections>(strand, address, port, std::move(entity), spin, clock,
-                                                 std::move(events), std::move(tls))) {
+                                                 std::move(events), std::move(tls), std::move(refusals))) {
     connections_->start();
 }
 

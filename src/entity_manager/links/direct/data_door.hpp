@@ -7,6 +7,7 @@
 
 #include "common/clock.hpp"
 #include "direct/lane/tls_channel.hpp"
+#include "entity_manager/links/direct_refusals.hpp"
 #include "entity_manager/ports/direct_lane.hpp"
 
 namespace axon::entity_manager {
@@ -26,10 +27,12 @@ namespace axon::entity_manager {
 class DataDoor {
   public:
     /// `port` 0: a free one. `spin`: how long its thread may spin before it sleeps (direct::lane::Spinner).
-    /// `tls`: what is spoken there; null: plain TCP.
+    /// `refusals`: is told of who is turned away; null: nobody is. `tls`: what is spoken there; null: plain
+    /// TCP.
     DataDoor(const asio::any_io_executor& strand, const std::string& address, std::uint16_t port,
              std::string entity, Duration spin, const Clock& clock, std::weak_ptr<DirectEvents> events,
-             std::shared_ptr<const direct::lane::Tls> tls = nullptr);
+             std::shared_ptr<const direct::lane::Tls> tls = nullptr,
+             std::shared_ptr<DirectRefusals> refusals = nullptr);
     ~DataDoor();
     DataDoor(const DataDoor&) = delete;
     DataDoor& operator=(const DataDoor&) = delete;

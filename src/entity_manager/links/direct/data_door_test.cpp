@@ -19,6 +19,7 @@
 #include "support/log_lines.hpp"
 #include "support/loopback.hpp"
 #include "support/moved_clock.hpp"
+#include "support/recorded_audit.hpp"
 #include "support/tcp_silence.hpp"
 
 namespace axon::entity_manager {
@@ -160,8 +161,16 @@ class DataDoorTest : public ::testing::TestWithParam<Kinds> {
     asio::thread_pool executor{1};
     asio::strand<asio::any_io_executor> strand{executor.get_executor()};
     std::shared_ptr<Events> events = std::make_shared<Events>();
-    DataDoor door{strand,          "127.0.0.1", 0,      "the entity",
-                  GetParam().spin, clock,       events, tls() ? kEntity : nullptr};
+    test::RecordedAudit trail;
+    DataDoor door{strand,
+                  "127.0.0.1",
+                  0,
+                  "the entity",
+                  GetParam().spin,
+                  clock,
+                  events,
+                  tls() ? kEntity : nullptr,
+                  std::make_shared<DirectRefusals>(&trail)};
     const std::string endpoint = "127.0.0.1:" + std::to_string(door.port());
 };
 
@@ -288,6 +297,37 @@ TEST_P(DataDoorTest, StrangersAreClosedForWhatIsNoClaim) {
     EXPECT_EQ(events->ends(), 0U) << "no path has ended";
 }
 
+TEST_P(DataDoorTest, WhoIsTurnedAwayIsRecordedByItsAddress) {
+    const auto recorded = [&](const LaneStranger& who, const std::string& what, const char* outcome) {
+        return waitUntil([&] {
+            return trail.has("@" + who.address() + "|refusal|||the entity|direct path: " + what) &&
+                   trail.last().ends_with(outcome);
+        });
+    };
+    const auto rubbish = knock();
+    rubbish->awaitNonce();
+    rubbish->say(std::string(4, '\0'));
+    EXPECT_TRUE(recorded(*rubbish, "a data lane: it broke the protocol", "|MALFORMED")) << trail.last();
+    const auto wrong = knock();
+    wrong->awaitNonce();
+    wrong->open("another key 16 b");
+    EXPECT_TRUE(recorded(*wrong, "a data lane: no", "|PERMISSION_DENIED")) << trail.last();
+    const auto its = holder();
+    its->say(std::string("\x7f\0\0\0\5", 5));
+    EXPECT_TRUE(recorded(*its, "a data lane: it broke the protocol", "|MALFORMED")) << trail.last();
+    const LaneStranger silent(endpoint);
+    EXPECT_TRUE(waitUntil([&] {
+        clock.advance(100ms);
+        return trail.has(
+            "|refusal|||the entity|direct path: 1 connection from 127.0.0.1 was closed: no session");
+    })) << trail.last();
+    EXPECT_TRUE(trail.last().ends_with("|OVERLOADED")) << trail.last();
+    const auto before = trail.notes().size();
+    knock()->awaitNonce();  // and it leaves: nobody has turned it away
+    holder();
+    EXPECT_EQ(trail.notes().size(), before) << trail.last();
+}
+
 TEST_P(DataDoorTest, AClaimMayComeByteByByte) {
     const auto its = knock();
     its->awaitNonce();
@@ -399,6 +439,10 @@ TEST_P(TlsDoorTest, ACertificateOfAnotherCaOrNoneIsTurnedAwayAndTheLogSaysWhy) {
         LaneStranger knocks(endpoint, tls.get(), "robot");
         EXPECT_TRUE(knocks.awaitClosed());
         EXPECT_TRUE(waitUntil([&, expected = std::string(why)] { return log->has(expected); })) << log->all();
+        EXPECT_TRUE(waitUntil([&, expected = std::string(why)] {
+            return trail.last().find(expected) != std::string::npos;
+        })) << trail.last();
+        EXPECT_TRUE(trail.has("@" + knocks.address() + "|")) << trail.last();
     }
     spdlog::set_default_logger(before);
     EXPECT_EQ(events->openings, 0);

@@ -15,6 +15,7 @@
 #include "transport/ice/adapter.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/direct_head.hpp"
+#include "transport/ice/gate_calls.hpp"
 #include "transport/ice/lane_socket.hpp"
 #include "transport/ice/peer_connection.hpp"
 #include "transport/ice/session_peers.hpp"
@@ -159,8 +160,12 @@ Refusal wrongState(const char* what) {
 /// to the strand.
 class GateServant final : public slice::DirectGate {
   public:
-    GateServant(std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
-        : entity_(std::move(entity)), clock_(clock), events_(std::move(events)) {}
+    GateServant(std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events,
+                std::shared_ptr<DirectRefusals> refusals)
+        : entity_(std::move(entity)),
+          clock_(clock),
+          events_(std::move(events)),
+          refusals_(std::move(refusals)) {}
 
     bool hasSession(const std::string& peer) const { return sessions_->has(peer); }
 
@@ -178,7 +183,10 @@ class GateServant final : public slice::DirectGate {
     void openAsync(slice::Opening opening, std::shared_ptr<slice::DirectCallbackPrx> callback,
                    std::function<void(const slice::Opened&)> response,
                    std::function<void(std::exception_ptr)> exception, const Ice::Current& current) override {
-        const auto refuse = [exception](const Refusal& refusal) {
+        const auto refuse = [exception, entity = entity_, refusals = refusals_,
+                             peer =
+                                 transport::DirectConnection::peerOf(*current.con)](const Refusal& refusal) {
+            refusals->refused(entity, peer, kSignalLane, refusal);
             exception(std::make_exception_ptr(transport::toIce(refusal)));
         };
         DirectOpening its;
@@ -252,6 +260,7 @@ class GateServant final : public slice::DirectGate {
     const std::string entity_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
+    const std::shared_ptr<DirectRefusals> refusals_;
     const std::shared_ptr<transport::SessionPeers> sessions_ = std::make_shared<transport::SessionPeers>();
     SystemRandom random_;
     std::mutex mutex_;
@@ -297,7 +306,8 @@ DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators&
                        const std::shared_ptr<const direct::lane::Tls>& tls)
     : signal_door_(std::make_unique<SignalDoor>()) {
     data_door_ = listenAtOneOf(address, settings.ports, [&](std::uint16_t port) {
-        return std::make_unique<DataDoor>(strand, address, port, entity, settings.spin, clock, events, tls);
+        return std::make_unique<DataDoor>(strand, address, port, entity, settings.spin, clock, events, tls,
+                                          ice.refusals());
     });
     const auto taken = data_door_->port();
     data_ = address + ":" + std::to_string(taken);
@@ -312,8 +322,12 @@ DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators&
                                      transport::Endpoint{address, port, tls != nullptr}.text(), 0,
                                      transport::Idle::Watched);
         });
-        const auto gate = std::make_shared<GateServant>(entity, clock, events);
-        adapter->add(gate, Ice::stringToIdentity(kGate));
+        const auto gate = std::make_shared<GateServant>(entity, clock, events, ice.refusals());
+        transport::addGate(
+            *adapter, gate, kGate,
+            [entity, refusals = ice.refusals()](const std::string& peer, const std::string& why) {
+                refusals->refused(entity, peer, "a call", {RefusalCode::Malformed, why, {}});
+            });
         signal_door_->watch = ice.limits().watch(
             transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
                 return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession

@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/links/server/server_communicators.hpp"
 
-#include <spdlog/spdlog.h>
-
+#include "transport/ice/broken_protocol.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
+#include "transport/ice/tls.hpp"
 
 namespace axon::entity_manager {
 
 ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
-                                         const std::map<std::string, std::string>& properties)
-    : data_(transport::makeCommunicator({.name = "axon-em-data",
+                                         const std::map<std::string, std::string>& properties,
+                                         audit::AuditTrail* trail)
+    : refusals_(std::make_shared<DirectRefusals>(trail)),
+      data_(transport::makeCommunicator({.name = "axon-em-data",
                                          .lane = Lane::Data,
                                          .client_threads = data_threads,
                                          .properties = properties})),
@@ -22,8 +24,21 @@ ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
       releases_(std::make_shared<ReleaseNotes>("this Entity Manager", transport::ourContract())),
       data_adapter_(data_->createObjectAdapter("")),
       signal_adapter_(signal_->createObjectAdapter("")) {
+    watchStrangers(signal());
     data_adapter_->activate();
     signal_adapter_->activate();
+}
+
+void ServerCommunicators::watchStrangers(const std::shared_ptr<Ice::Communicator>& communicator) {
+    transport::onBrokenProtocol(
+        communicator,
+        [refusals = refusals_](const std::string& peer, const std::string&, const std::string& why) {
+            refusals->refused({}, peer, kSignalLane, {RefusalCode::Malformed, why, {}});
+        });
+    transport::onRefused(communicator, [refusals = refusals_](const std::string& peer, const std::string&,
+                                                              const std::string& why) {
+        refusals->record({}, peer, "a TLS handshake", {RefusalCode::PermissionDenied, why, {}});
+    });
 }
 
 const std::shared_ptr<Ice::Communicator>& ServerCommunicators::direct(bool tls) {
@@ -34,6 +49,7 @@ const std::shared_ptr<Ice::Communicator>& ServerCommunicators::direct(bool tls) 
         properties.emplace("Ice.MessageSizeMax", std::to_string(transport::kSignalSizeMaxKib));
         direct_tls_ = transport::makeCommunicator(
             {.name = "axon-em-direct", .lane = Lane::Data, .properties = std::move(properties)});
+        watchStrangers(direct_tls_.communicator());
     }
     return direct_tls_.communicator();
 }
@@ -43,7 +59,7 @@ transport::ConnectionLimits& ServerCommunicators::limits() {
     static constexpr transport::ConnectionBounds kBounds{.strangers_of_one_address = 256, .strangers = 1024};
     std::call_once(limited_, [this] {
         limits_.emplace(
-            clock_, [](const std::string& line) { spdlog::warn("direct path: {}", line); }, kBounds);
+            clock_, [this](const std::string& line) { refusals_->closed({}, line); }, kBounds);
     });
     return *limits_;
 }

@@ -10,6 +10,7 @@
 
 #include "common/clock.hpp"
 #include "common/release.hpp"
+#include "entity_manager/links/direct_refusals.hpp"
 #include "transport/ice/connection_limits.hpp"
 
 namespace axon::entity_manager {
@@ -20,10 +21,11 @@ namespace axon::entity_manager {
 /// its Entity Managers.
 class ServerCommunicators {
   public:
-    /// `properties`: of Ice (Ice.*, IceSSL.*), for both. Throws std::runtime_error for settings Ice does not
-    /// accept.
+    /// `properties`: of Ice (Ice.*, IceSSL.*), for both. `trail`: of who is turned away at the ports of
+    /// direct paths; null: nobody is told. Throws std::runtime_error for settings Ice does not accept.
     explicit ServerCommunicators(int data_threads = 2, int signal_threads = 1,
-                                 const std::map<std::string, std::string>& properties = {});
+                                 const std::map<std::string, std::string>& properties = {},
+                                 audit::AuditTrail* trail = nullptr);
 
     /// Closes every connection and joins the threads; blocks. Entity Managers that are left hear of nobody
     /// any more.
@@ -43,8 +45,14 @@ class ServerCommunicators {
     const std::shared_ptr<ReleaseNotes>& releases() const { return releases_; }
     /// Of the ports of direct paths; has a thread from the first call on. Any thread.
     transport::ConnectionLimits& limits();
+    /// At the ports of direct paths. Any thread.
+    const std::shared_ptr<DirectRefusals>& refusals() const { return refusals_; }
 
   private:
+    /// Those that Ice itself turns away there.
+    void watchStrangers(const std::shared_ptr<Ice::Communicator>& communicator);
+
+    const std::shared_ptr<DirectRefusals> refusals_;  // before the communicators, whose threads use it
     Ice::CommunicatorHolder data_;
     Ice::CommunicatorHolder signal_;
     const std::map<std::string, std::string> properties_;

@@ -1,0 +1,1170 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Abuse of every kind of port by whoever reaches it: a table of kinds of abuse, ports and variations.
+
+    /usr/bin/python3 tests/hostile/abuse.py --bin build/dev/bin --cases 300
+
+Starts servers, a router, Entity Managers and robot applications of its own on loopback, with users, TLS and audit trails. An honest
+client holds two robots and asks them for their status throughout. Each case is one abuse of one port: it must be refused (by an
+answer that says so, or by the end of the connection), and the audit trail must have a record of it, by the address it came from. What
+servers tell of many connections together (docs/reference/audit.md) is counted: the records must account for every case. Every kind of
+record must also be in the log. At the end all programs must run, the honest client must have lost nothing, and the robots must be in
+the state that they were in.
+Exit status: 1 if a case failed, with what it was and the seed that repeats it; 2 if it could not be run.
+"""
+import argparse
+import collections
+import http.client
+import json
+import os
+import pathlib
+import random
+import re
+import resource
+import shutil
+import signal
+import socket
+import ssl
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import uuid
+
+HERE = pathlib.Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "foreign")]
+sys.dont_write_bytecode = True
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("--bin", help="folder of the programs")
+parser.add_argument("--cases", type=int, default=300, help="cases at each port (default: 300)")
+parser.add_argument("--ports", metavar="NAME,…", help="only these ports (default: all)")
+parser.add_argument("--kinds", metavar="NAME,…", help="only these kinds of abuse (default: all)")
+parser.add_argument("--seed", type=int, default=1, help="of the variations (default: 1)")
+parser.add_argument("--quick", action="store_true", help="without what waits for the servers' time-outs, without floods, and without a look at the logs, for which the cases must be "
+                    "slow")
+parser.add_argument("--json", metavar="FILE", help="write the figures to this file")
+arguments = parser.parse_args()
+from rig import BIN, ROOT, USERS, compile_contracts  # noqa: E402
+from laboratory import Failed, Laboratory, addresses, wait_until  # noqa: E402
+
+GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
+compile_contracts("slice2py", GENERATED.name)
+sys.path.insert(0, GENERATED.name)
+from Axon import CommUtil  # noqa: E402
+from axon import link_pb2, messages_pb2  # noqa: E402
+from client import Client  # noqa: E402
+from direct_path import CLAIM, CLIENT, KEPT, REFUSAL, frame, proof  # noqa: E402
+import ice_wire as ice  # noqa: E402
+from ice_wire import Ended, Silent, WebSocket, Wire  # noqa: E402
+
+CONTRACT = {ice.CONTRACT: str(CommUtil.ContractNumber)}
+SLOW_SECONDS = 25  # within which a server has ended what says nothing: its bound is 10 s, of HTTP 15 s
+
+
+class NotRefused(Exception):
+    """A case that was let through, or was not ended."""
+
+
+def loopback(text):
+    host, port = text.rsplit("/")[-1].rsplit(":", 1)
+    return "127.0.0.1", int(port)
+
+
+def free_port():
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+class Station:
+    """A program with its log and its audit trail."""
+
+    def __init__(self, process, trail=None):
+        self.process, self.trail = process, trail
+        self.read = {}  # of each file, how many bytes
+        self.refusals, self.of_peer = [], collections.defaultdict(list)
+
+    def look(self):
+        for file in sorted(self.trail.glob("*.jsonl")) if self.trail else ():
+            with open(file, "rb") as source:
+                source.seek(self.read.get(file, 0))
+                content = source.read()
+            whole = content.rfind(b"\n") + 1
+            self.read[file] = self.read.get(file, 0) + whole
+            for line in content[:whole].splitlines():
+                record = json.loads(line)
+                if record["kind"] == "refusal":
+                    self.refusals.append(record)
+                    self.of_peer[record.get("peer", "")].append(record)
+
+    def told_of(self, peer, seconds=10):
+        """The refusals of this address and port."""
+        def there():
+            self.look()
+            return self.of_peer.get(peer)
+        if seconds == 0:
+            return there()
+        try:
+            return wait_until(there, f"a record of {peer}", seconds)
+        except Failed:
+            return []
+
+    def counted(self, source):
+        """How many connections from this address the bounds have closed, by the records."""
+        self.look()
+        found = [re.search(rf"(\d+) connections? from {re.escape(source)} ", record["what"]) for record in self.refusals]
+        # The console records each by its address.
+        return sum(int(one.group(1)) for one in found if one) + sum(len(of) for peer, of in self.of_peer.items() if peer.startswith(f"{source}:"))
+
+    def alive(self):
+        return self.process.child.poll() is None
+
+
+class Port:
+    def __init__(self, name, station, speaks, number, tls=None, plain=None, unit=None, revoking=None, gate=None, recorded=True, lane="data"):
+        """`tls`, `plain`: addresses; `unit`: the kind of certificate that is right there; `revoking`: (station, address) of a port of
+        the same kind that knows of revoked certificates; `gate`: the object that strangers call."""
+        self.name, self.station, self.speaks, self.number = name, station, speaks, number
+        self.tls, self.plain, self.unit, self.revoking, self.gate, self.recorded, self.lane = tls, plain, unit, revoking, gate, recorded, lane
+
+    def source(self, rng):
+        """An address of this machine, which is a source of its own to those who bound what each may do."""
+        return f"127.{10 + self.number}.{rng.randrange(1, 250)}.{rng.randrange(1, 250)}"
+
+
+class Honest:
+    """Who holds the robots, and asks them for their status: the answers' times are what an attack may not change."""
+
+    def __init__(self, client, entities):
+        self.client, self.entities, self.times, self.failed = client, entities, [], []
+        self.ended = threading.Event()
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self):
+        while not self.ended.wait(0.02):
+            for entity in self.entities:
+                number, began = uuid.uuid4().bytes, time.monotonic()
+                try:
+                    self.client.send(entity, "STATUS", {"status_request": messages_pb2.StatusRequest(request_id=number)})
+                    self.client.answer("status", entity, seconds=20, request_id=number)
+                except Exception as error:  # whatever it is, it is told at the end
+                    self.failed.append(repr(error)[:200])
+                    return
+                self.times.append(time.monotonic() - began)
+                with self.client.news:
+                    self.client.arrived[:] = [one for one in self.client.arrived if not isinstance(one[2], messages_pb2.ToClient)][-100:]
+
+    def await_answers(self, count):
+        """As many more; in about a hundredth of a second each."""
+        until = len(self.times) + count
+        wait_until(lambda: len(self.times) >= until or self.failed, "the honest client gets answers", 60)
+
+    def end(self):
+        self.ended.set()
+        self.thread.join()
+
+
+class Siege:
+    def __init__(self):
+        self.lab = Laboratory(BIN, application=f"abuse-{os.getpid()}", environment="embedded")
+        try:
+            self.start()
+        except BaseException:
+            self.lab.end()
+            raise
+
+    def write(self, name, *lines):
+        file = self.lab.folder / name
+        file.touch(0o600)
+        file.write_text("\n".join(lines) + "\n")
+        return file
+
+    def certified(self, kind, which="good"):
+        return (f"IceSSL.DefaultDir={self.certs}", "IceSSL.CAs=ca.cert.pem", f"IceSSL.CertFile={which}/{kind}.cert.pem",
+                f"IceSSL.KeyFile={which}/{kind}.key.pem")
+
+    def start(self):
+        lab = self.lab
+        self.certs = lab.folder / "certs"
+        subprocess.run([BIN / "hostile-certificates", self.certs], check=True)
+        self.users = lab.folder / "users.cfg"
+        for user, role in USERS.items():
+            subprocess.run([BIN / "axon-server", "--users", self.users, "--add-user", user, "--user-role", role],
+                           input=f"word of {user}\n", text=True, check=True, capture_output=True)
+        both = "ssl -h 127.0.0.1 -p 0:tcp -h 127.0.0.1 -p 0"
+        server = self.write("server.cfg", *self.certified("server"), f"Server.Users={self.users}", f"Axon.Audit.Folder={lab.folder}/audit",
+                            *[f"{name}.Endpoints={both}" for name in ("FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")],
+                            "FrontEndServerRouter.Endpoints=127.0.0.1:0", "EntityServerRouter.Endpoints=127.0.0.1:0",
+                            *[f"{name}.Endpoints=ssl://127.0.0.1:{free_port()}" for name in ("Console", "ConsoleSession", "ConsoleSignal")])
+        process = lab.start("server", "axon-server", "--config", server)
+        at = addresses(process.wait_for("ready "))
+        self.server = Station(process, lab.folder / "audit")
+        lab.server = process
+        # One of several servers, whose links are under TLS and which knows of revoked certificates.
+        several = {}
+        for role, name, kind, doors in (("front-end", "fe1", "front-end", "FrontEndServer"), ("entity", "es1", "entity-server", "EntityServer")):
+            ports = {door: free_port() for door in ("", "Signal", "Router", "Topic", "TopicSignal")}
+            config = self.write(f"{name}.cfg", *self.certified(kind), f"Server.Name={name}", f"Server.Users={self.users}", "Server.Console=0",
+                                f"Server.TopicManager=IceStorm/TopicManager:ssl -h localhost -p {free_port()}",
+                                f"Axon.Audit.Folder={lab.folder}/audit-{name}", "IceSSL.RevocationCheck=1",
+                                "IceSSL.CertificateRevocationListFiles=revoked.crl.pem",
+                                *[f"{doors}{door}.Endpoints=ssl -h 127.0.0.1 -p {port}" for door, port in ports.items()])
+            one = lab.start(name, "axon-server", "--role", role, "--config", config)
+            one.wait_for("ready ")
+            several[name] = Station(one, lab.folder / f"audit-{name}"), {door: ("127.0.0.1", port) for door, port in ports.items()}
+        (front, front_at), (back, back_at) = several["fe1"], several["es1"]
+
+        def of(name, tls):
+            ours = [one for one in at[name].split(",") if one.startswith("ssl://") == tls]
+            return loopback(ours[0])
+
+        self.stations = [self.server, front, back]
+        self.at = {name: "%s:%d" % of(name, False) for name in ("client", "entity")}
+        ports = [
+            Port("client-data", self.server, "ice", 1, of("client", True), of("client", False), "client", (front, front_at[""]), "ClientGate"),
+            Port("client-signal", self.server, "ice", 2, of("client-signal", True), of("client-signal", False), "client",
+                 (front, front_at["Signal"]), "ClientGate", lane="signal"),
+            Port("entity-data", self.server, "ice", 3, of("entity", True), of("entity", False), "entity", (back, back_at[""]), "EntityGate"),
+            Port("entity-signal", self.server, "ice", 4, of("entity-signal", True), of("entity-signal", False), "entity",
+                 (back, back_at["Signal"]), "EntityGate", lane="signal"),
+            Port("topic", front, "ice", 5, front_at["Topic"], None, "storm", (front, front_at["Topic"])),
+            Port("topic-signal", back, "ice", 6, back_at["TopicSignal"], None, "front-end", (back, back_at["TopicSignal"])),
+            Port("router-door", back, "ice", 7, back_at["Router"], loopback(at["entity-router"]), "router", (back, back_at["Router"])),
+        ]
+        self.router_door_plain = self.server
+        ports += self.start_router(loopback(at["client-router"]))
+        ports += self.find_console(at["console"])
+        ports += self.start_robots(of("entity", True))
+        wanted = arguments.ports.split(",") if arguments.ports else [port.name for port in ports]
+        if unknown := set(wanted) - {port.name for port in ports}:
+            raise Failed(f"no port {', '.join(unknown)}; expected some of {', '.join(port.name for port in ports)}")
+        self.ports = [port for port in ports if port.name in wanted]
+        self.record_honest()
+
+    def start_router(self, door):
+        if not (program := shutil.which("glacier2router")):
+            print("no glacier2router: its port is left out", file=sys.stderr)
+            return []
+        port = free_port()
+        example = (ROOT / "deploy/config/clientrouter.cfg").read_text().replace("#Glacier2", "Glacier2").replace("#Ice", "Ice")
+        for usual, ours in (("tcp -h 127.0.0.1 -p 10414", f"ssl -h 127.0.0.1 -p {port}"), ("-p 10415", f"-p {free_port()}"),
+                            ("-p 10416", f"-p {door[1]}")):
+            example = example.replace(usual, ours)
+        config = self.write("router.cfg", example, *self.certified("router"), "IceSSL.Protocols=TLS1_3", "Ice.PrintAdapterReady=1")
+        process = self.lab.start("router", program, f"--Ice.Config={config}")
+        process.wait_for("Glacier2.Client ready")
+        station = Station(process)
+        self.stations.append(station)
+        return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", recorded=False)]
+
+    def find_console(self, at):
+        self.console = loopback(at.rstrip("/"))
+        _, cookie = self.visit("guest")
+        endpoint = self.ticket(cookie)["endpoint"]
+        session = "127.0.0.1", int(re.search(r"-p (\d+)", endpoint).group(1))
+        return [Port("console", self.server, "http", 9, self.console, None),
+                Port("console-session", self.server, "ws", 10, session, None, gate="ClientGate")]
+
+    def trusting(self, which=None, kind=None, most=None):
+        """How a peer speaks TLS that shows this certificate, and takes any."""
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        if which:
+            context.load_cert_chain(self.certs / which / f"{kind}.cert.pem", self.certs / which / f"{kind}.key.pem")
+        if most:
+            context.maximum_version = most
+        return context
+
+    def ask_console(self, method, path, body=None, source="127.0.0.1", **headers):
+        """(status, body, cookie)"""
+        connection = http.client.HTTPSConnection(*self.console, timeout=10, context=self.trusting(), source_address=(source, 0))
+        try:
+            origin = f"https://127.0.0.1:{self.console[1]}"
+            connection.request(method, path, body, {"Origin": origin, **{name.replace("_", "-"): value for name, value in headers.items()}})
+            me = "%s:%d" % connection.sock.getsockname()
+            answer = connection.getresponse()
+            return answer.status, answer.read(), (answer.getheader("Set-Cookie") or "").split(";")[0], me
+        finally:
+            connection.close()
+
+    def visit(self, user):
+        status, body, cookie, _ = self.ask_console("POST", "/login", f"user={user}&password=word+of+{user}",
+                                                   Content_Type="application/x-www-form-urlencoded")
+        if status != 200:
+            raise Failed(f"the console answers {status}: {body}")
+        return body, cookie
+
+    def ticket(self, cookie):
+        return json.loads(self.ask_console("POST", "/ticket", "", Cookie=cookie)[1])
+
+    def start_robots(self, entity_port):
+        """One whose Entity Manager speaks TLS, and one that does not; both are held by the honest client."""
+        lab, ports = self.lab, []
+        low = 5600 + os.getpid() * 7 % 1900
+        stations = {}
+        for at, (name, lines) in enumerate((
+                ("Counter", (*self.certified("entity"), "Axon.Server=ssl://localhost:%d" % entity_port[1])),
+                ("Plain", ("Axon.User=robot", "Axon.Password=word of robot", f"Axon.Server={self.at['entity']}")))):
+            folder = lab.folder / name
+            shutil.copytree(HERE.parent / "foreign" / "robot", folder)
+            basic = folder / "basic.xml"
+            basic.write_text(basic.read_text().replace('"Counter"', f'"{name}"'))
+            ports_file = self.write(f"ports-{name}.cfg", f"Axon.Ports = {low + 10 * at}-{low + 10 * at + 5}")
+            app = lab.start(f"app-{name}", "foreign-counter", folder, ports_file, f"{lab.application}-{name}")
+            config = self.write(f"manager-{name}.cfg", f"Axon.Application={lab.application}-{name}", f"Axon.Ports={low + 10 * at}-{low + 10 * at + 5}",
+                                "Axon.Audit.Folder=audit", *lines)
+            manager = lab.start(f"em-{name}", "axon-entity-manager", "--state", lab.folder / f"state-{name}", "--config", config)
+            stations[name] = Station(manager, lab.folder / f"state-{name}" / "audit")
+            self.stations += [stations[name], Station(app)]
+        client = Client(self.at["client"], "ann", "word of ann", "ann@example")
+        self.grants, entities = {}, []
+        for name in stations:
+            entity = client.find(name, 30)
+            self.grants[name] = client.checkout(entity)
+            entities.append(entity)
+        self.honest = Honest(client, entities)
+        self.client_id = uuid.UUID(client.facts.me.id.rsplit(":", 1)[-1])
+        tls, plain = self.grants["Counter"], self.grants["Plain"]
+        ports += [Port("direct-data", stations["Counter"], "lane", 11, loopback(tls.direct_endpoint), None, "client"),
+                  Port("direct-data-plain", stations["Plain"], "lane", 12, None, loopback(plain.direct_endpoint)),
+                  Port("direct-signal", stations["Counter"], "ice", 13, loopback(tls.direct_signal_endpoint), None, "client", gate="DirectGate", lane="direct"),
+                  Port("direct-signal-plain", stations["Plain"], "ice", 14, None, loopback(plain.direct_signal_endpoint), gate="DirectGate", lane="direct")]
+        link = next(port for port in range(low + 10, low + 16) if self.listens(port))
+        ports.append(Port("robot-link", self.stations[-1], "link", 15, None, ("127.0.0.1", link), recorded=False))
+        return ports
+
+    @staticmethod
+    def listens(port):
+        with socket.socket() as one:
+            return one.connect_ex(("127.0.0.1", port)) == 0
+
+    def record_honest(self):
+        """What an attacker on the path may have seen of honest peers: to be said again."""
+        self.hello = {}
+        for port in self.ports:
+            if port.tls:
+                self.hello[port.name] = self.overhear(port)
+
+    def overhear(self, port):
+        """What an honest peer says under TLS until its handshake is over, as a relay sees it."""
+        heard, relay = [], socket.create_server(("127.0.0.1", 0))
+
+        def pass_on():
+            ours, _ = relay.accept()
+            its = socket.create_connection(port.tls)
+            back = threading.Thread(target=self.copy, args=(its, ours, None), daemon=True)
+            back.start()
+            self.copy(ours, its, heard)
+            back.join(5)
+            ours.close()
+            its.close()
+        passing = threading.Thread(target=pass_on, daemon=True)
+        passing.start()
+        one = Wire(relay.getsockname(), tls=self.trusting("good" if port.unit else None, port.unit))
+        one.close()
+        passing.join(10)
+        relay.close()
+        return b"".join(heard)
+
+    @staticmethod
+    def copy(source, sink, heard):
+        try:
+            while came := source.recv(65536):
+                if heard is not None:
+                    heard.append(came)
+                sink.sendall(came)
+            sink.shutdown(socket.SHUT_WR)
+        except OSError:
+            pass
+
+    # What one case needs.
+
+    def wire(self, port, source, kind=Wire, which="good", unit=None):
+        """A connection as of an honest peer, as far as TLS goes."""
+        if port.tls is None:
+            return kind(port.plain, source)
+        return kind(port.tls, source, self.trusting(which if port.unit else None, unit or port.unit))
+
+    def either(self, port, rng, source):
+        """The same, by TLS or plain TCP where there are both; and the station that it leads to."""
+        if port.plain and (port.tls is None or rng.random() < 0.5):
+            station = self.router_door_plain if port.name == "router-door" else port.station
+            return Wire(port.plain, source), station
+        return self.wire(port, source), port.station
+
+
+def ends(wire, what=""):
+    """The other side ends it, and says nothing of Ice's but that the connection is there."""
+    try:
+        came = wire.drain()
+    except Silent as silent:
+        raise NotRefused(f"the connection stays open {what}") from silent
+    finally:
+        wire.close()
+    return came
+
+
+def refused(wire, status, reply, least=1):
+    wire.close()
+    if status < least:
+        raise NotRefused(f"it was answered with {status}: {reply[:200]}")
+
+
+class Case:
+    """What there must be a record of: the address that it came from, at a station. Coalesced: only a count of the source."""
+
+    def __init__(self, peer=None, station=None, source=None, count=1):
+        self.peer, self.station, self.source, self.count = peer, station, source, count
+
+
+# Kinds of abuse: each function makes one case, and raises NotRefused.
+
+def bad_certificate(which):
+    def abuse(siege, port, rng, source):
+        address, station = port.tls, port.station
+        if which == "revoked":
+            station, address = port.revoking
+        wire = None
+        try:
+            wire = Wire(address, source)
+            me = wire.me
+            wire.secure(siege.trusting(which, port.unit))
+        except Ended:
+            return Case(me, station)
+        ends(wire)
+        return Case(me, station)
+    return abuse
+
+
+def no_certificate(siege, port, rng, source):
+    wire = Wire(port.tls, source)
+    me = wire.me
+    try:
+        wire.secure(siege.trusting(most=rng.choice((None, ssl.TLSVersion.TLSv1_2))))
+        ends(wire)
+    except Ended:
+        wire.close()
+    return Case(me, port.station)
+
+
+def old_tls(siege, port, rng, source):
+    wire = Wire(port.tls, source)
+    me = wire.me
+    try:
+        wire.secure(siege.trusting("good" if port.unit else None, port.unit, ssl.TLSVersion.TLSv1_2))
+    except Ended:
+        wire.close()
+        return Case(me, port.station)
+    raise NotRefused("TLS 1.2 is spoken")
+
+
+def wrong_kind(siege, port, rng, source):
+    """A certificate of the laboratory, of those who have nothing to seek there."""
+    units = [unit for unit in ("client", "entity", "registry", "storm", "router", "front-end", "entity-server", "server") if unit != port.unit]
+    allowed = {"topic": ("storm", "entity-server"), "topic-signal": ("front-end", "entity-server"),
+               "router-door": ("router", "server", "entity-server")}.get(port.name, ())
+    wire = Wire(port.tls, source)
+    me = wire.me
+    try:
+        wire.secure(siege.trusting("good", rng.choice([unit for unit in units if unit not in allowed])))
+        if port.name in ("topic", "topic-signal", "router-door"):
+            ends(wire)
+            return Case(me, port.station)
+        return say_wrong(siege, port, rng, wire)
+    except Ended:
+        wire.close()
+        return Case(me, port.station)
+
+
+def say_wrong(siege, port, rng, wire):
+    """The first call at a gate, or the claim of a data lane, by somebody who has no right to it."""
+    if port.speaks == "lane":
+        return claim_on(siege, port, rng, wire)
+    wire.validated()
+    if port.name == "router":
+        return router_log_in_on(wire, port, rng)
+    if port.lane == "signal":
+        return attach_on(wire, port, token(rng))
+    if port.lane == "direct":
+        return open_direct_on(siege, port, rng, wire)
+    refused(wire, *wire.call(port.gate, "open", log_in_of(port, rng), context=CONTRACT))
+    return Case(wire.me, port.station)
+
+
+def garbage_to_tls(siege, port, rng, source):
+    wire = Wire(port.tls, source, seconds=SLOW_SECONDS)  # some of it may be the beginning of a record
+    try:
+        wire.say(rng.choice((b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\xff" + rng.randbytes(rng.randrange(200, 3000)),
+                             b"\x16\x03\x01\x00\xc8" + rng.randbytes(200))))
+    except Ended:
+        pass
+    ends(wire)
+    return Case(wire.me, port.station)
+
+
+def replayed_tls(siege, port, rng, source):
+    """The bytes of an honest peer's handshake."""
+    wire = Wire(port.tls, source)
+    try:
+        heard = siege.hello[port.name]
+        wire.say(heard if rng.random() < 0.5 else heard + rng.randbytes(100))
+    except Ended:
+        pass
+    ends(wire)
+    return Case(wire.me, port.station)
+
+
+def slow(siege, port, rng):
+    """(a connection that is not ready, and what it still has to say)"""
+    source = f"127.{10 + port.number}.251.1"
+    if port.tls and (port.plain is None or rng.random() < 0.7):
+        wire, whole = Wire(port.tls, source, seconds=SLOW_SECONDS), siege.hello[port.name]
+    else:
+        wire = Wire(port.plain, source, seconds=SLOW_SECONDS)
+        whole = {"lane": frame(CLAIM, b"\0" * 60), "link": struct.pack(">I", 200) + b"\0" * 200}.get(
+            port.speaks, ice.request(port.gate or "PermissionsVerifier", "open", b"x" * 200))
+    return wire, whole[:len(whole) // 2], source
+
+
+def ice_rubbish(make):
+    def abuse(siege, port, rng, source):
+        wire, station = siege.either(port, rng, source)
+        try:
+            wire.validated()
+            wire.say(make(rng))
+        except Ended:
+            pass
+        ends(wire)
+        return Case(wire.me, station)
+    return abuse
+
+
+garbage = ice_rubbish(lambda rng: rng.choice((b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"XceP" + rng.randbytes(40), rng.randbytes(rng.randrange(14, 4000)))))
+other_version = ice_rubbish(lambda rng: ice.message(ice.VALIDATE, version=bytes([rng.randrange(2, 255), 0, 1, 0])))
+unknown_message = ice_rubbish(lambda rng: ice.message(rng.randrange(5, 256), rng.randbytes(rng.randrange(50))))
+oversize = ice_rubbish(lambda rng: ice.message(ice.REQUEST, rng.randbytes(20), size=rng.randrange(5 << 20, 1 << 31)))
+impossible_size = ice_rubbish(lambda rng: ice.message(ice.REQUEST, b"", size=rng.choice((-1, 0, 13, -(1 << 31), rng.randrange(0, 14)))))
+cut_message = ice_rubbish(lambda rng: ice.message(ice.REQUEST, struct.pack("<i", 1) + b"\xff\xff\xff\xff\x7f" + rng.randbytes(rng.randrange(20))))
+bad_compression = ice_rubbish(lambda rng: ice.message(ice.REQUEST, struct.pack("<i", 14 + 1000) + rng.randbytes(60), compressed=2))
+
+
+def unknown_call(siege, port, rng, source):
+    """An object that is not there, an operation that its gate does not have, or arguments that cannot be read."""
+    wire, station = siege.either(port, rng, source)
+    try:
+        wire.validated()
+        what = rng.randrange(3)
+        if what == 0 or not port.gate:
+            status, reply = wire.call(rng.choice(("Nobody", str(uuid.UUID(bytes=rng.randbytes(16))), "admin", "process", "IceGrid/Registry")), "ice_ping")
+        elif what == 1:
+            status, reply = wire.call(port.gate, "shutdown" + str(rng.randrange(99)))
+        else:
+            status, reply = wire.call(port.gate, "open", raw=struct.pack("<i", 7) + b"\1\1\x09", context=CONTRACT)
+        refused(wire, status, reply)
+    except Ended:
+        wire.close()
+    return Case(wire.me, station)
+
+
+def log_in_of(port, rng):
+    user = rng.choice(("ann", "chief", "robot", "", "nobody%d" % rng.randrange(1000), "x" * 2000))
+    its = ice.text(user) + ice.text("wrong %d" % rng.randrange(1000))
+    return its + (ice.text("hostile@example") if port.gate == "ClientGate" else b"")
+
+
+def wrong_password(siege, port, rng, source):
+    wire = Wire(port.plain, source).validated()
+    refused(wire, *wire.call(port.gate, "open", log_in_of(port, rng), context=CONTRACT))
+    return Case(wire.me, port.station)
+
+
+def log_in_flood(siege, port, rng, source):
+    """Many over one connection, without waiting for the answers."""
+    wire, count = Wire(port.plain, source, seconds=60).validated(), rng.randrange(8, 16)
+    for number in range(count):
+        wire.say(ice.request(port.gate, "open", log_in_of(port, rng), context=CONTRACT, number=number + 1))
+    for _ in range(count):
+        status, reply = wire.reply()
+        if status < 1:
+            raise NotRefused(f"a log-in was answered with {status}: {reply}")
+    wire.close()
+    return Case(wire.me, port.station)
+
+
+def second_session(siege, port, rng, source):
+    """Several sessions over one connection: by somebody who may log in."""
+    wire = Wire(port.plain, source).validated()
+    user = "guest" if port.gate == "ClientGate" else "robot"
+    its = ice.text(user) + ice.text(f"word of {user}") + (ice.text("hostile@example") if port.gate == "ClientGate" else b"")
+    status, reply = wire.call(port.gate, "open", its, context=CONTRACT)
+    if status != 0:
+        raise NotRefused(f"an honest log-in was answered with {status}: {reply}")
+    try:
+        refused(wire, *wire.call(port.gate, "open", its, context=CONTRACT))
+    except Ended:
+        wire.close()
+    return Case(wire.me, port.station)
+
+
+def other_contract(siege, port, rng, source):
+    wire, station = siege.either(port, rng, source)
+    wire.validated()
+    contract = {ice.CONTRACT: rng.choice(("0", "2", "4", "-1", "999", "x" * 100))}
+    refused(wire, *wire.call(port.gate, "open", log_in_of(port, rng), context=rng.choice((contract, {}))))
+    return Case(wire.me, station)
+
+
+def foreign_session(siege, port, rng, source):
+    """The call of a session that another connection has opened, said again."""
+    victim = Wire(port.plain).validated()
+    user = "guest" if port.gate == "ClientGate" else "robot"
+    log_in = ice.text(user) + ice.text(f"word of {user}") + (ice.text("honest@example") if port.gate == "ClientGate" else b"")
+    status, reply = victim.call(port.gate, "open", log_in, context=CONTRACT)
+    if status != 0:
+        raise NotRefused(f"an honest log-in was answered with {status}: {reply}")
+    wire, station = siege.either(port, rng, source)
+    wire.validated()
+    operation = rng.choice(("leave", "destroy", "keepAlive", "setCallback", "sendStopSignal"))
+    arguments_of = {"keepAlive": struct.pack("<i", 1), "setCallback": b"\0\0"}.get(operation, b"")
+    refused(wire, *wire.call(ice.identity_in(reply), operation, arguments_of))
+    ended = victim.has_ended()
+    victim.close()
+    if ended:
+        raise NotRefused("the session of somebody else has ended")
+    return Case(wire.me, station)
+
+
+def token(rng):
+    return rng.choice(("", "x", str(uuid.UUID(bytes=rng.randbytes(16))), "fe1/" + str(uuid.UUID(bytes=rng.randbytes(16))), "y" * 3000))
+
+
+def attach_on(wire, port, its):
+    status, reply = wire.call(port.gate, "open", ice.text("") * (3 if port.gate == "ClientGate" else 2), context=CONTRACT)
+    if status == 0:
+        callback = ice.text("callback") + ice.text("") + b"\0\0\0" + b"\1\0\1\1" + b"\0" + ice.text("")
+        status, reply = wire.call(ice.identity_in(reply), "attachSignalLane", ice.text(its) + callback)
+    refused(wire, status, reply)
+    return Case(wire.me, port.station)
+
+
+def wrong_token(siege, port, rng, source):
+    wire, station = siege.either(port, rng, source)
+    case = attach_on(wire.validated(), port, token(rng))
+    case.station = station
+    return case
+
+
+def used_token(siege, port, rng, source):
+    """That of the honest client, whose signal lane is attached."""
+    wire, station = siege.either(port, rng, source)
+    case = attach_on(wire.validated(), port, siege.honest.client.facts.token)
+    case.station = station
+    return case
+
+
+def call_of_servers(siege, port, rng, source):
+    """By a certificate that may come, a call for another kind; or in another's name."""
+    wire = siege.wire(port, source)
+    try:
+        wire.validated()
+        wire.say(ice.request(port.name, "clientMsg", number=0) + ice.message(rng.randrange(7, 99)))
+    except Ended:
+        pass
+    ends(wire)
+    return Case(wire.me, port.station)
+
+
+def unknown_verifier(siege, port, rng, source):
+    """A wrong password by way of a router."""
+    wire = Wire(port.plain, source).validated()
+    status, reply = wire.call("PermissionsVerifier", "checkPermissions", ice.text(rng.choice(("robot", "ann", "nobody"))) +
+                              ice.text("wrong %d" % rng.randrange(1000)), mode=rng.choice((2, 2, 2, 0)))  # 0: it is called otherwise
+    if status == 0 and reply[-1:] != b"\0":
+        raise NotRefused(f"it was answered with {status}: {reply}")
+    wire.close()
+    return Case(wire.me, siege.router_door_plain)
+
+
+def router_log_in(siege, port, rng, source):
+    wire = siege.wire(port, source)
+    try:
+        return router_log_in_on(wire.validated(), port, rng)
+    except Ended:
+        wire.close()
+    return Case(wire.me, port.station)
+
+
+def router_log_in_on(wire, port, rng):
+    refused(wire, *wire.call("router", "createSession", ice.text("ann") + ice.text("wrong %d" % rng.randrange(1000)), category="Axon.Clients",
+                             context=CONTRACT))
+    return Case(wire.me, port.station)
+
+
+# At the ports of direct paths.
+
+def claim_on(siege, port, rng, wire, **more):
+    nonce_frame = wire.take(25)
+    lease = siege.grants["Counter" if port.tls else "Plain"].lease
+    its = {"contract": CommUtil.ContractNumber, "epoch": lease.epoch, "number": lease.number, "me": siege.client_id.bytes, "key": rng.randbytes(16),
+           "who": CLIENT, "lane": 1, "nonce": nonce_frame[9:25], "path": rng.randbytes(16), **more}
+    wire.say(frame(CLAIM, struct.pack(">III", its["contract"], its["epoch"], its["number"]) + its["me"] + its["path"] +
+                   proof(its["key"], its["who"], its["lane"], its["epoch"], its["number"], its["me"], its["path"], its["nonce"])))
+    length, kind = struct.unpack(">IB", wire.take(5))
+    wire.take(length - 1)
+    if kind != REFUSAL:
+        raise NotRefused(f"a claim was answered by a frame of the kind {kind}")
+    ends(wire)
+    return Case(wire.me, port.station)
+
+
+def wrong_claim(siege, port, rng, source):
+    key = siege.grants["Counter" if port.tls else "Plain"].lease.key
+    more = rng.choice(({}, {"key": key, "who": 2}, {"key": key, "lane": 0}, {"key": key, "nonce": b"n" * 16}, {"contract": rng.randrange(99, 1 << 31)},
+                       {"number": rng.randrange(1 << 31)}, {"me": rng.randbytes(16)}))
+    return claim_on(siege, port, rng, siege.wire(port, source), **more)
+
+
+def replayed_claim(siege, port, rng, source):
+    """A right claim, made for the nonce of another connection."""
+    key = siege.grants["Counter" if port.tls else "Plain"].lease.key
+    other = siege.wire(port, source)
+    nonce = other.take(25)[9:25]
+    other.close()
+    return claim_on(siege, port, rng, siege.wire(port, source), key=key, nonce=nonce)
+
+
+def lane_rubbish(make):
+    def abuse(siege, port, rng, source):
+        wire = siege.wire(port, source)
+        try:
+            wire.take(25)
+            wire.say(make(rng))
+        except Ended:
+            pass
+        ends(wire)
+        return Case(wire.me, port.station)
+    return abuse
+
+
+lane_garbage = lane_rubbish(lambda rng: rng.choice((b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 8, rng.randbytes(5000), b"IceP" + rng.randbytes(20))))
+lane_oversize = lane_rubbish(lambda rng: struct.pack(">IB", rng.randrange(200, 1 << 32), CLAIM))
+lane_empty = lane_rubbish(lambda rng: b"\0\0\0\0")
+lane_other_frame = lane_rubbish(lambda rng: frame(rng.choice((1, 3, 4, KEPT, 6, 9, 255)), rng.randbytes(rng.randrange(90))))
+
+
+def direct_opening(siege, port, rng, nonce, key=None):
+    lease = siege.grants["Counter" if port.tls else "Plain"].lease
+    me, path = siege.client_id, rng.randbytes(16)
+    its = proof(key or rng.randbytes(16), CLIENT, 0, lease.epoch, lease.number, me.bytes, path, nonce)
+    lane = next(number for number in (0, 1) if CommUtil.Lane.valueOf(number) == CommUtil.Lane.Signal)
+    callback = ice.text("callback") + ice.text("") + b"\0\0\0" + b"\1\0\1\1" + b"\0" + ice.text("")
+    return bytes([lane]) + struct.pack("<ii", lease.epoch, lease.number) + ice.text(str(me)) + ice.size(16) + path + ice.size(len(its)) + its + callback
+
+
+def open_direct_on(siege, port, rng, wire):
+    key = siege.grants["Counter" if port.tls else "Plain"].lease.key
+    what = rng.randrange(4)
+    nonce = b"n" * 16
+    if what:
+        status, reply = wire.call("DirectGate", "challenge")
+        nonce = reply[7:23]
+    its = direct_opening(siege, port, rng, b"o" * 16 if what == 2 else nonce, key if what in (0, 2, 3) else None)  # 3: without a data lane
+    refused(wire, *wire.call("DirectGate", "open", its))
+    return Case(wire.me, port.station)
+
+
+def wrong_opening(siege, port, rng, source):
+    return open_direct_on(siege, port, rng, siege.wire(port, source).validated())
+
+
+# At the console.
+
+def http_request(make):
+    def abuse(siege, port, rng, source):
+        wire = Wire(port.tls, source, siege.trusting())
+        try:
+            wire.say(make(siege, rng))
+            came = wire.drain()
+        except Ended:
+            came = b""
+        except Silent as silent:
+            raise NotRefused("the connection stays open") from silent
+        finally:
+            wire.close()
+        if came and not re.match(rb"HTTP/1\.[01] (4\d\d|5\d\d) ", came):
+            raise NotRefused(f"it was answered: {came[:200]}")
+        return Case(wire.me, port.station)
+    return abuse
+
+
+def head(siege, first, *lines):
+    return ("\r\n".join((first, f"Host: 127.0.0.1:{siege.console[1]}", "Connection: close", *lines)) + "\r\n\r\n").encode()
+
+
+http_garbage = http_request(lambda siege, rng: rng.choice((rng.randbytes(300) + b"\r\n\r\n", b"IceP" + rng.randbytes(60) + b"\r\n\r\n", b"GET\r\n\r\n",
+                                                           b"GET / HTTP/9.9\r\n\r\n")))
+http_oversize = http_request(lambda siege, rng: head(siege, "GET / HTTP/1.1", "X-Long: " + "x" * rng.randrange(20_000, 60_000)))
+http_method = http_request(lambda siege, rng: head(siege, f"{rng.choice(('PUT', 'DELETE', 'TRACE', 'POST'))} / HTTP/1.1"))
+http_host = http_request(lambda siege, rng: f"GET / HTTP/1.1\r\nHost: rebound{rng.randrange(99)}.example\r\nConnection: close\r\n\r\n".encode())
+http_both_lengths = http_request(lambda siege, rng: head(siege, "POST /login HTTP/1.1", "Transfer-Encoding: chunked", "Content-Length: 5") + b"0\r\n\r\n")
+
+
+def console_post(path, make):
+    def abuse(siege, port, rng, source):
+        body, headers = make(siege, rng)
+        status, answer, _, me = siege.ask_console("POST", path, body, source, **headers)
+        if status < 400:
+            raise NotRefused(f"it was answered with {status}: {answer[:200]}")
+        return Case(me, port.station)
+    return abuse
+
+
+FORM = {"Content_Type": "application/x-www-form-urlencoded"}
+console_foreign_page = console_post(["/login", "/ticket", "/logout"][0], lambda siege, rng: ("user=ann&password=x", {
+    **FORM, "Origin": rng.choice(("https://elsewhere.example", "null", "http://127.0.0.1:1"))}))
+console_wrong_password = console_post("/login", lambda siege, rng: (f"user={rng.choice(('ann', 'chief', 'nobody'))}&password=wrong{rng.randrange(99)}", FORM))
+console_no_form = console_post("/login", lambda siege, rng: (rng.choice(("{}", "user=ann", "%zz", "")), {"Content_Type": rng.choice(("application/json", "text/plain"))}))
+console_large_form = console_post("/login", lambda siege, rng: ("user=ann&password=" + "x" * rng.randrange(5000, 30_000), FORM))
+console_old_cookie = console_post("/ticket", lambda siege, rng: ("", {"Cookie": f"__Host-axon-{siege.console[1]}=" + "%032x" % rng.getrandbits(128)}))
+
+
+def ws_garbage(siege, port, rng, source):
+    wire = Wire(port.tls, source, siege.trusting())
+    try:
+        wire.say(rng.choice((rng.randbytes(400), b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"IceP" + rng.randbytes(40) + b"\r\n\r\n",
+                             b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n")))
+    except Ended:
+        pass
+    ends(wire)
+    return Case(wire.me, port.station)
+
+
+def browser(siege, port, source, origin=None):
+    wire = WebSocket(port.tls, source, siege.trusting())
+    return wire.upgrade("127.0.0.1:%d" % port.tls[1], origin or f"https://127.0.0.1:{siege.console[1]}")
+
+
+def ws_rubbish(siege, port, rng, source):
+    wire = browser(siege, port, source)
+    try:
+        wire.validated()
+        wire.say(rng.choice((rng.randbytes(60), ice.message(rng.randrange(5, 256)), ice.message(ice.REQUEST, size=1 << 30), ice.message(ice.REQUEST, size=3))))
+    except Ended:
+        pass
+    ends(wire)
+    return Case(wire.me, port.station)
+
+
+def ws_foreign_page(siege, port, rng, source):
+    wire = browser(siege, port, source, rng.choice(("https://elsewhere.example", "null", "https://127.0.0.1:1")))
+    wire.validated()
+    refused(wire, *wire.call("ClientGate", "open", ice.text("") * 3, context=CONTRACT))
+    return Case(wire.me, port.station)
+
+
+def ws_wrong_ticket(siege, port, rng, source):
+    wire = browser(siege, port, source).validated()
+    refused(wire, *wire.call("ClientGate", "open", ice.text("ann") + ice.text("%032x" % rng.getrandbits(128)) + ice.text(""), context=CONTRACT))
+    return Case(wire.me, port.station)
+
+
+def ws_used_ticket(siege, port, rng, source):
+    its = siege.ticket(siege.visit("guest")[1])["password"]
+    first = browser(siege, port, source).validated()
+    log_in = ice.text("guest") + ice.text(its) + ice.text("guest@browser")
+    status, reply = first.call("ClientGate", "open", log_in, context=CONTRACT)
+    if status != 0:
+        raise NotRefused(f"an honest ticket was answered with {status}: {reply}")
+    wire = browser(siege, port, source).validated()
+    try:
+        refused(wire, *wire.call("ClientGate", "open", log_in, context=CONTRACT))
+    finally:
+        first.close()
+    return Case(wire.me, port.station)
+
+
+# At the port of a robot application.
+
+def link_frame(content):
+    return struct.pack(">I", len(content)) + content
+
+
+def link_hello(siege, rng, **more):
+    hello = link_pb2.Hello(**{"protocol": 1, "application": f"{siege.lab.application}-Plain", "lane": link_pb2.LANE_SIGNAL, "nonce": rng.randbytes(16),
+                              "manager": "hostile", **more})
+    return link_frame(link_pb2.EmToEi(hello=hello).SerializeToString())
+
+
+def link_says(make):
+    def abuse(siege, port, rng, source):
+        wire = Wire(port.plain, "127.0.0.1")  # whose process it is, the kernel says of any address
+        try:
+            wire.say(make(siege, rng))
+            came = ends(wire)
+        except Ended:
+            came = b""
+        if len(came) > 4:
+            welcome = link_pb2.EiToEm.FromString(came[4:]).welcome
+            if not welcome.refusal.code:
+                raise NotRefused(f"it is welcome: {welcome}")
+        return Case(wire.me, port.station)
+    return abuse
+
+
+link_garbage = link_says(lambda siege, rng: rng.choice((rng.randbytes(500), b"GET / HTTP/1.1\r\n\r\n", link_frame(rng.randbytes(100)))))
+link_oversize = link_says(lambda siege, rng: struct.pack(">I", rng.randrange(4097, 1 << 32)))
+link_empty = link_says(lambda siege, rng: b"\0\0\0\0")
+link_second = link_says(lambda siege, rng: link_hello(siege, rng))
+link_data_first = link_says(lambda siege, rng: link_hello(siege, rng, lane=link_pb2.LANE_DATA))
+link_other = link_says(lambda siege, rng: link_hello(siege, rng, **rng.choice(({"protocol": 99}, {"application": "another"}, {"instance": "another"},
+                                                                           {"nonce": b"x"}, {"nonce": b"x" * 65}))))
+link_no_hello = link_says(lambda siege, rng: link_frame(link_pb2.EmToEi(stop=link_pb2.StopSignal(stop_generation=9)).SerializeToString()))
+
+
+# (kind, function, weight), by what the port speaks; and for which ports.
+CERTIFICATES = [("foreign CA", bad_certificate("foreign"), 3), ("expired", bad_certificate("expired"), 2), ("not yet valid", bad_certificate("early"), 1),
+                ("revoked", bad_certificate("revoked"), 2), ("no certificate", no_certificate, 1), ("wrong kind", wrong_kind, 3)]
+TLS = [("garbage to TLS", garbage_to_tls, 2), ("replayed handshake", replayed_tls, 2), ("old TLS", old_tls, 1)]
+ICE = [("garbage", garbage, 2), ("other version", other_version, 1), ("unknown message", unknown_message, 1), ("oversize", oversize, 2),
+       ("impossible size", impossible_size, 1), ("cut message", cut_message, 1), ("bad compression", bad_compression, 1), ("unknown call", unknown_call, 2)]
+LOG_INS = [("wrong password", wrong_password, 1), ("flood of log-ins", log_in_flood, 1), ("second session", second_session, 1),
+           ("other contract", other_contract, 1), ("replayed call", foreign_session, 2)]
+ATTACH = [("wrong token", wrong_token, 3), ("used token", used_token, 2), ("other contract", other_contract, 1), ("replayed call", foreign_session, 1)]
+
+
+def table(port):
+    rows = []
+    if port.tls:
+        rows += TLS
+        if port.unit:
+            rows += [row for row in CERTIFICATES if row[0] != "revoked" or port.revoking]
+    if port.speaks == "ice":
+        # A peer of a topic port has shown the certificate of a server.
+        rows += [row for row in ICE if row[0] != "unknown call" or not port.name.startswith("topic")]
+        rows += {"client-data": LOG_INS, "entity-data": LOG_INS, "client-signal": ATTACH, "entity-signal": ATTACH, "topic": [("call of servers", call_of_servers, 2)],
+                 "topic-signal": [("call of servers", call_of_servers, 2)], "router-door": [("wrong password", unknown_verifier, 2)],
+                 "router": [("wrong password", router_log_in, 2)]}.get(port.name, [])
+        if port.lane == "direct":
+            rows += [("wrong opening", wrong_opening, 4)]
+    if port.speaks == "lane":
+        rows += [("wrong claim", wrong_claim, 4), ("replayed claim", replayed_claim, 3), ("garbage", lane_garbage, 2), ("oversize", lane_oversize, 2),
+                 ("empty frame", lane_empty, 1), ("other frame", lane_other_frame, 2)]
+    if port.speaks == "http":
+        rows = [row for row in rows if row[0] not in ("old TLS",)]
+        rows += [("garbage", http_garbage, 2), ("oversize", http_oversize, 2), ("method", http_method, 1), ("host", http_host, 1), ("both lengths", http_both_lengths, 1),
+                 ("foreign page", console_foreign_page, 2), ("wrong password", console_wrong_password, 1), ("no form", console_no_form, 1),
+                 ("large form", console_large_form, 1), ("old cookie", console_old_cookie, 1)]
+    if port.speaks == "ws":
+        rows = [row for row in rows if row[0] not in ("old TLS",)]
+        rows += [("garbage", ws_garbage, 2), ("rubbish in frames", ws_rubbish, 3), ("foreign page", ws_foreign_page, 2), ("wrong ticket", ws_wrong_ticket, 2),
+                 ("used ticket", ws_used_ticket, 1)]
+    if port.speaks == "link":
+        rows += [("garbage", link_garbage, 2), ("oversize", link_oversize, 1), ("empty frame", link_empty, 1), ("second manager", link_second, 2),
+                 ("data lane first", link_data_first, 1), ("other hello", link_other, 2), ("no hello", link_no_hello, 1)]
+    return rows
+
+
+class Slow:
+    """Half-open connections, and those that say a byte at a time: the bounds end them all."""
+
+    def __init__(self, siege, port, rng, count):
+        self.siege, self.port, self.count, self.began = siege, port, count, time.monotonic()
+        self.open, self.dripping, self.source, self.late = [], [], None, 0
+        for number in range(count):
+            wire, rest, self.source = slow(siege, port, rng)
+            if number % 2:
+                self.dripping.append([wire, rest])
+            else:
+                wire.say(rest)
+            self.open.append(wire)
+
+    def drip(self):
+        for one in self.dripping:
+            if one[1]:
+                try:
+                    one[0].say(one[1][:1])
+                except (Ended, Silent):
+                    one[1] = b""
+                one[1] = one[1][1:]
+
+    def ended(self):
+        self.open = [wire for wire in self.open if not wire.has_ended() or wire.close()]
+        return not self.open
+
+
+def flood(siege, port):
+    """Connections as fast as one thread makes them, which say nothing: a bound closes some, or does not take them."""
+    source, open_ones = f"127.{10 + port.number}.252.1", []
+    count = {"lane": 300, "link": 100, "http": 200}.get(port.speaks, 1300)
+    try:
+        for _ in range(count):
+            one = socket.socket()
+            one.bind((source, 0))
+            one.settimeout(10)
+            one.connect(port.tls or port.plain)
+            one.setblocking(False)
+            open_ones.append(one)
+
+        def some_are_closed():
+            for one in open_ones:
+                try:
+                    if one.recv(1, socket.MSG_PEEK) == b"":
+                        return True
+                except BlockingIOError:
+                    continue
+                except OSError:
+                    return True
+                one.recv(4096)  # what the other side says first
+            return False
+        wait_until(some_are_closed, "the bound closes some", 20)
+    except Failed as failed:
+        raise NotRefused(f"{count} connections stay open") from failed
+    finally:
+        for one in open_ones:
+            one.close()
+    return source
+
+
+def check_port(siege, port, index):
+    """({kind: (cases, failures)}, what failed)"""
+    rows = table(port)
+    if arguments.kinds:
+        rows = [row for row in rows if row[0] in arguments.kinds.split(",")]
+    if not rows:
+        return {}, []
+    figures, failures = collections.Counter(), []
+    cases = []
+    slow_ones = None
+    total = arguments.cases
+    if not arguments.quick and not arguments.kinds:
+        slow_ones = Slow(siege, port, random.Random(arguments.seed * 100 + index), min(30, total // 10))
+        figures["half-open, a byte at a time"] = slow_ones.count
+        total -= slow_ones.count + 1
+    # Each kind once, slowly, because the log has ten lines in a second; then as many as there are to be.
+    order = [row for row in rows for _ in range(row[2])]
+    began = time.monotonic()
+    for number in range(total):
+        first = number < len(rows)
+        kind, function, _ = rows[number] if first else order[number % len(order)]
+        if first and not arguments.quick:
+            siege.honest.await_answers(12)
+        seed = f"{arguments.seed}/{port.name}/{kind}/{number}"
+        rng = random.Random(seed)
+        figures[kind] += 1
+        try:
+            case = function(siege, port, rng, port.source(rng))
+            case.kind, case.seed, case.first = kind, seed, first
+            cases.append(case)
+        except (NotRefused, Silent, Ended, AssertionError, OSError) as error:
+            failures.append(f"{port.name}, {kind} ({seed}): {type(error).__name__}: {error}")
+            if len(failures) > 20:
+                break
+        if slow_ones and number % 10 == 0:
+            slow_ones.drip()
+    flood_source = None
+    if slow_ones:
+        def all_ended():
+            slow_ones.drip()
+            return slow_ones.ended()
+        try:
+            wait_until(all_ended, f"{port.name}: half-open connections are closed", SLOW_SECONDS)
+        except Failed as failed:
+            failures.append(f"{failed}; {len(slow_ones.open)} of {slow_ones.count} are still open")
+        figures["flood of connections"] = 1
+        try:
+            flood_source = flood(siege, port)
+        except (NotRefused, OSError) as error:
+            failures.append(f"{port.name}, flood of connections: {error}")
+    records = check_records(port, cases, slow_ones, flood_source, failures) if port.recorded else 0
+    return {"port": port.name, "cases": sum(figures.values()), "kinds": dict(figures), "records": records, "failures": len(failures),
+            "seconds": round(time.monotonic() - began, 1)}, failures
+
+
+def check_records(port, cases, slow_ones, flood_source, failures):
+    found, missing = 0, 0
+    for case in cases:
+        records = case.station.told_of(case.peer, 5 if missing < 3 else 0)
+        if not records:
+            missing += 1
+            failures.append(f"{port.name}, {case.kind} ({case.seed}): the audit trail has no record of {case.peer}")
+            continue
+        found += 1
+        if case.first and not arguments.quick and case.peer not in case.station.process.text():
+            failures.append(f"{port.name}, {case.kind}: the log does not have {case.peer}, of which the record says '{records[-1]['what']}'")
+    if slow_ones:
+        def accounted():
+            return port.station.counted(slow_ones.source) >= slow_ones.count
+        try:
+            wait_until(accounted, "", 25)
+            found += slow_ones.count
+        except Failed:
+            failures.append(f"{port.name}: the records tell of {port.station.counted(slow_ones.source)} of {slow_ones.count} half-open connections")
+    if flood_source:
+        try:
+            wait_until(lambda: port.station.counted(flood_source), "", 25)
+            found += 1
+        except Failed:
+            failures.append(f"{port.name}: the records tell nothing of a flood of connections")
+    return found
+
+
+def p99(times):
+    return sorted(times)[int(len(times) * 0.99)] * 1000 if times else float("nan")
+
+
+def main():
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(2))  # what it has started ends with it
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(8192, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)
+    try:
+        siege = Siege()
+    except (Failed, TimeoutError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    figures, failures = [], []
+    try:
+        honest = siege.honest
+        states = {entity: honest.client.statuses[entity].state for entity in honest.entities}
+        honest.await_answers(150)
+        quiet = list(honest.times)
+        for index, port in enumerate(siege.ports):
+            its, failed = check_port(siege, port, index)
+            if its:
+                figures.append(its)
+                print(f"{its['port']:20} {its['cases']:5} cases {its['records']:5} records {its['failures']:3} failures {its['seconds']:6.1f} s", flush=True)
+            for line in failed[:12]:
+                print("    " + line, flush=True)
+            failures += failed
+            for station in siege.stations:
+                if not station.alive():
+                    failures.append(f"after {port.name}: {station.process.name} has ended")
+                    print("    " + failures[-1], flush=True)
+        attacked = honest.times[len(quiet):]
+        honest.end()
+        if honest.failed or honest.client.closed.is_set():
+            failures.append(f"the honest client: {honest.failed or 'its session has ended'}")
+        for entity, state in states.items():
+            if honest.client.statuses[entity].state != state:
+                failures.append(f"the entity {entity} was {state} and is {honest.client.statuses[entity].state}")
+        print(f"honest status requests: p99 {p99(quiet):.2f} ms of {len(quiet)} in quiet, {p99(attacked):.2f} ms of {len(attacked)} under abuse")
+        print(f"{sum(one['cases'] for one in figures)} cases, {len(failures)} failures")
+        for line in failures:
+            if line.startswith(("after", "the honest", "an honest", "the entity")):
+                print("    " + line)
+        if arguments.json:
+            pathlib.Path(arguments.json).write_text(json.dumps({
+                "ports": figures, "failures": failures, "quiet_p99_ms": p99(quiet), "p99_ms": p99(attacked), "n_quiet": len(quiet), "n": len(attacked)}, indent=1))
+        return 1 if failures else 0
+    finally:
+        siege.honest.ended.set()
+        siege.lab.end()
+        if failures:
+            print(f"logs: {siege.lab.folder}", file=sys.stderr)
+        else:
+            shutil.rmtree(siege.lab.folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
