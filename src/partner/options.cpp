@@ -104,6 +104,10 @@ void readThere(GatewaySettings& settings, const std::string& file, const std::st
     } catch (const std::invalid_argument& error) {
         throw std::runtime_error(std::string("--server: ") + error.what());
     }
+    const bool tls = transport::isRouter(there.server) ? transport::isTlsRouter(there.server)
+                                                       : transport::parseEndpoint(there.server).tls;
+    if (tls && !transport::speaksTls(there.properties))
+        throw std::runtime_error(transport::certificateMissing(there.server, "client"));
     there.direct = false;
 }
 
