@@ -95,7 +95,7 @@ if(AXON_ICE)
   # The command and the daemons.
   list(APPEND packages axon axon-server axon-entity-manager)
   axon_install_programs(axon axon)
-  axon_install_programs(axon-server axon-server)
+  axon_install_programs(axon-server axon-server axon-partner)
   if(AXON_WEB)
     install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/console" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT axon-server)
     add_dependencies(installed_programs console)

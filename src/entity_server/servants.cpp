@@ -244,9 +244,8 @@ void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registrati
     if (!certified_.empty() && !certificatePermits(certified_, its.name)) {
         const auto refusal = "the certificate that was shown is the entity '" + certified_ +
                              (of_partner ? "'s, a partner's laboratory; expected a name that begins so, not '"
-                        : "'s; expected its name in the basic profile, not '") +
-            its.name +
-                             "': axon certs issue --entity NAME makes one for another name";
+                                         : "'s; expected its name in the basic profile, not '") +
+                             its.name + "': axon certs issue --entity NAME makes one for another name";
         spdlog::warn("audit: registration refused, from {}: {}", session_.peer()->peer(), refusal);
         lane_.turnedAway(session_.peer()->peer(), kRegistration,
                          {RefusalCode::PermissionDenied, refusal, {}});

@@ -37,8 +37,8 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
     void connect(const asio::any_io_executor& strand,
                  std::shared_ptr<entity_manager::ServerCommunicators> ice,
                  entity_manager::ServerAddress address, const Clock& clock) {
-        server_ = std::make_unique<entity_manager::EntityCommunicator>(strand, std::move(ice),
-                                                                       std::move(address), clock, weak_from_this());
+        server_ = std::make_unique<entity_manager::EntityCommunicator>(
+            strand, std::move(ice), std::move(address), clock, weak_from_this());
         server_->wantConnection(true);
     }
     entity_manager::EntityCommunicator& server() { return *server_; }
@@ -76,7 +76,8 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
         tell([home = entity_.home](PartnerCore& core) { core.onHomeHeartbeat(home); });
     }
     void undeliverable(Lane, Header head, const Refusal& refusal) override {
-        spdlog::debug("{}: the server at home refused a {}: {}", entity_.name, head.msg_type, refusal.message);
+        spdlog::debug("{}: the server at home refused a {}: {}", entity_.name, head.msg_type,
+                      refusal.message);
     }
 
   private:
@@ -87,11 +88,10 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
         const auto gateway = gateway_.lock();
         if (!gateway) return;
         const auto size = bytes.size();
-        gateway->postBounded(size, droppable,
-                             [home = entity_.home, droppable, head = std::move(head),
-                              bytes = std::move(bytes)](PartnerCore& core) mutable {
-                                 core.onClientMsg(home, droppable, head, std::move(bytes));
-                             });
+        gateway->postBounded(
+            size, droppable,
+            [home = entity_.home, droppable, head = std::move(head), bytes = std::move(bytes)](
+                PartnerCore& core) mutable { core.onClientMsg(home, droppable, head, std::move(bytes)); });
     }
 
     const std::weak_ptr<Gateway> gateway_;
@@ -102,17 +102,19 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
 /// A client session there, and what its server says.
 class Gateway::Session final : public client::ConnectionEvents {
   public:
-    Session(std::weak_ptr<Gateway> gateway, SessionNumber number)
-        : gateway_(std::move(gateway)), number_(number) {}
+    Session(std::weak_ptr<Gateway> gateway, SessionNumber number, Use use)
+        : gateway_(std::move(gateway)), number_(number), watches_(use == Use::Watch) {}
 
     void newProfile(std::uint64_t, Presence presence, const Registration& registration,
                     std::string_view profile) override {
+        if (!watches_) return;
         bounded(profile.size(), false,
                 [=, number = number_, profile = std::string(profile)](PartnerCore& core) {
                     core.onProfile(number, presence, registration, profile);
                 });
     }
     void newStatus(std::uint64_t, const EntityStatus& status) override {
+        if (!watches_) return;
         bounded(textBytes(status), false,
                 [status, number = number_](PartnerCore& core) { core.onStatus(number, status); });
     }
@@ -155,6 +157,7 @@ class Gateway::Session final : public client::ConnectionEvents {
 
     const std::weak_ptr<Gateway> gateway_;
     const SessionNumber number_;
+    const bool watches_;
 };
 
 Gateway::Gateway(GatewaySettings settings, const Clock& clock)
@@ -241,12 +244,13 @@ void Gateway::stopSignal(const ShownEntity& entity, const Header& head, StopCaus
     if (head.msg_type == kMsgDrill) return;  // of the server at home, which measures entities of its own
     const auto& client = head.sender.id;
     if (cause != StopCause::Requested && cause != StopCause::Drill) {
-        // The client is gone from home. What that means for a running task, the Entity Manager decides, so its
-        // session there ends in the same way.
+        // The client is gone from home. What that means for a running task, the Entity Manager decides, so
+        // its session there ends in the same way.
         if (const auto connection = connectionOf(client)) {
             if (cause == StopCause::Released) return leaveSoon(connection);
             return connection->drop();
         }
+        if (signals_.hasVisited(client)) return;  // its session there has ended already, for another entity
     }
     if (!signals_.stop(entity.there, head, cause))
         spdlog::warn("a stop of {} for {} was not passed on: there is no session in its laboratory",
@@ -338,8 +342,8 @@ void Gateway::toClientDataSeq(const Header& head, const std::string& bytes) {
 
 // There.
 
-void Gateway::open(SessionNumber session, const std::string& display_name) {
-    auto its = std::make_shared<Session>(weak_from_this(), session);
+void Gateway::open(SessionNumber session, const std::string& display_name, Use use) {
+    auto its = std::make_shared<Session>(weak_from_this(), session, use);
     sessions_[session] = its;
     client::Login login;
     const auto& options = settings_.there;

@@ -25,12 +25,13 @@ struct GatewaySettings {
     PartnerCoreSettings core;
     client::Options there;               ///< server, user, password and properties, as a client has them
     entity_manager::ServerAddress home;  ///< as an Entity Manager has it; its secret is made for each entity
-    std::map<std::string, std::string> home_properties;  ///< Ice.* and IceSSL.*, as an Entity Manager has them
-    std::string secret;                  ///< 32 bytes, kept: from it are made the UUIDs of the entities at home
+    std::map<std::string, std::string>
+        home_properties;  ///< Ice.* and IceSSL.*, as an Entity Manager has them
+    std::string secret;   ///< 32 bytes, kept: from it are made the UUIDs of the entities at home
 };
 
-/// The rim of PartnerCore and SignalRelay: the sessions in both laboratories, over the connections that clients
-/// and Entity Managers have, and the threads.
+/// The rim of PartnerCore and SignalRelay: the sessions in both laboratories, over the connections that
+/// clients and Entity Managers have, and the threads.
 ///
 /// Threads: one runs the strand of the core; two open sessions there, which waits for the server, and one
 /// leaves them; Ice's are those of a client and of an Entity Manager, where signals and data have each their
@@ -79,7 +80,7 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     void toClientDataSeq(const Header& head, const std::string& bytes) override;
 
     // TherePort, on the strand.
-    void open(SessionNumber session, const std::string& display_name) override;
+    void open(SessionNumber session, const std::string& display_name, Use use) override;
     void watches(SessionNumber session) override;
     void visits(SessionNumber session, const Sender& client) override;
     bool send(SessionNumber session, client::Operation operation, const Header& head,

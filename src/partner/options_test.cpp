@@ -51,7 +51,8 @@ TEST(PartnerOptionsTest, WhatIsMissingIsNamed) {
 }
 
 TEST(PartnerOptionsTest, WhatIsWrongIsRefusedWithWhatIsExpected) {
-    EXPECT_THAT(refusal({"--name", "b/c", "--as", "a", "--server", "b:1"}), HasSubstr("expected 1 to 32 letters"));
+    EXPECT_THAT(refusal({"--name", "b/c", "--as", "a", "--server", "b:1"}),
+                HasSubstr("expected 1 to 32 letters"));
     EXPECT_THAT(refusal({"--name", "b", "--as", "a", "--server", "nonsense:x"}), HasSubstr("--server: "));
     EXPECT_THAT(refusal({"--name", "b", "--as", "a", "--server", "b:1", "-e", "a:x"}),
                 HasSubstr("--entity-server: "));
@@ -82,7 +83,8 @@ TEST(PartnerOptionsTest, EachLaboratoryHasAFileOfItsOwn) {
 
 TEST(PartnerOptionsTest, APropertyOfIceBelongsToOneOfTheTwo) {
     const auto config = fileWith("mixed.cfg", "Partner.Name=b\nIceSSL.CAs=ca.pem\n");
-    EXPECT_THAT(refusal({"--config", config.c_str()}), HasSubstr("IceSSL.CAs belongs to one of the two laboratories"));
+    EXPECT_THAT(refusal({"--config", config.c_str()}),
+                HasSubstr("IceSSL.CAs belongs to one of the two laboratories"));
     const auto unknown = fileWith("unknown.cfg", "Partner.Nmae=b\n");
     EXPECT_THAT(refusal({"--config", unknown.c_str()}), HasSubstr("unknown property"));
 }

@@ -38,7 +38,7 @@ void PartnerCore::start() {
 void PartnerCore::openWatch() {
     watch_again_ = TimePoint::max();
     watch_ = ++last_session_;
-    there_.open(watch_, settings_.home);
+    there_.open(watch_, settings_.home, TherePort::Use::Watch);
 }
 
 void PartnerCore::stop() {
@@ -171,6 +171,11 @@ void PartnerCore::onProfile(SessionNumber session, Presence presence, const Regi
                   "', which a laboratory has in the names of its own partners' entities, and short enough");
         return hide(there);
     }
+    if (!entities_.contains(there) && entities_.size() >= kEntities) {
+        if (hidden_.empty() && hidden_.insert(there).second)
+            note_("more than " + std::to_string(kEntities) + " entities are not shown");
+        return;
+    }
     proto::BasicProfile its;
     if (!profile.empty() && !its.ParseFromArray(profile.data(), static_cast<int>(profile.size()))) return;
     auto [found, joined] = entities_.try_emplace(there);
@@ -209,14 +214,6 @@ void PartnerCore::hide(const std::string& there) {
 
 void PartnerCore::onStatus(SessionNumber session, const EntityStatus& status) {
     onHeartbeat(session);
-    if (auto* visitor = visitorOf(session)) {
-        // Its own session has the news that decides how often it must beat.
-        if (auto* shown = ofThere(status.entity); shown != nullptr && status.holder.id == visitor->me.id) {
-            visitor->wants.insert(status.entity);
-            if (visitor->server) visitor->server->heard(clock_.now());
-        }
-        return;
-    }
     if (session != watch_) return;
     auto* shown = ofThere(status.entity);
     if (shown == nullptr) return;
@@ -295,7 +292,8 @@ bool PartnerCore::translate(const Shown& entity, Visitor& visitor, Lane lane, pr
         return true;
     }
     if (message.has_status() && message.status().services_size() > 0) {
-        for (auto& service : *message.mutable_status()->mutable_services()) service.set_entity_id(entity.names.home);
+        for (auto& service : *message.mutable_status()->mutable_services())
+            service.set_entity_id(entity.names.home);
         return true;
     }
     if (message.has_lease_ended()) visitor.granted.erase(there);
@@ -308,7 +306,8 @@ bool PartnerCore::translate(const Shown& entity, Visitor& visitor, Lane lane, pr
     reply.clear_datagram_endpoint();
     reply.clear_direct_endpoint();
     reply.clear_direct_signal_endpoint();
-    for (auto& service : *reply.mutable_services()->mutable_services()) service.set_entity_id(entity.names.home);
+    for (auto& service : *reply.mutable_services()->mutable_services())
+        service.set_entity_id(entity.names.home);
     return true;
 }
 
@@ -324,9 +323,9 @@ void PartnerCore::onRefusal(SessionNumber session, const Header& head, const Ref
         setRefusal(answer, refusal);
         return tell(*shown, visitor->client, kMsgReply, Lane::Signal, answer);
     }
-    const auto asked = std::find_if(
-        visitor->asked.rbegin(), visitor->asked.rend(),
-        [&](const Asked& one) { return one.sequence == head.sequence && one.there == head.entity; });
+    const auto asked = std::find_if(visitor->asked.rbegin(), visitor->asked.rend(), [&](const Asked& one) {
+        return one.sequence == head.sequence && one.there == head.entity;
+    });
     if (asked == visitor->asked.rend()) return;
     refuse(*shown, visitor->client, asked->answer, refusal);
 }
@@ -357,9 +356,9 @@ void PartnerCore::onHomeUp(const std::string& entity) {
     auto* shown = ofHome(entity);
     if (shown == nullptr) return;
     shown->up = true;
-    shown->server = std::make_unique<Liveness>(kBeatsMissed * milliseconds(shown->registration.heartbeat_busy_ms),
-                                               kBeatsMissed * milliseconds(shown->registration.heartbeat_idle_ms),
-                                               clock_.now());
+    shown->server = std::make_unique<Liveness>(
+        kBeatsMissed * milliseconds(shown->registration.heartbeat_busy_ms),
+        kBeatsMissed * milliseconds(shown->registration.heartbeat_idle_ms), clock_.now());
     show(*shown);
     tellStatus(*shown);
 }
@@ -397,10 +396,12 @@ void PartnerCore::onClientMsg(const std::string& entity, bool droppable, const H
     }
     proto::ToEntity asked;
     if (!asked.ParseFromString(message.bytes))
-        return refuse(*shown, head.sender, refused({}, {}),
-                      {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
+        return refuse(
+            *shown, head.sender, refused({}, {}),
+            {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
     const auto& there = shown->names.there;
-    const auto its = visitor != nullptr ? visitor->granted.find(there) : std::map<std::string, LeaseNumber>::iterator{};
+    const auto its =
+        visitor != nullptr ? visitor->granted.find(there) : std::map<std::string, LeaseNumber>::iterator{};
     const bool holds = visitor != nullptr && its != visitor->granted.end() && its->second == head.held;
     const auto account = visitor != nullptr && !visitor->me.id.empty() ? visitor->me.role : watcher_.role;
     auto answer = refused(asked, {});
@@ -416,8 +417,8 @@ void PartnerCore::onClientMsg(const std::string& entity, bool droppable, const H
         if (visitor == nullptr)
             return refuse(*shown, head.sender, std::move(answer),
                           {RefusalCode::Overloaded,
-                           std::to_string(settings_.visitors_max) +
-                               " clients use entities of laboratory " + settings_.laboratory +
+                           std::to_string(settings_.visitors_max) + " clients use entities of laboratory " +
+                               settings_.laboratory +
                                " already, which is as many as it admits; try again when one has left",
                            {}});
     }
@@ -446,7 +447,7 @@ PartnerCore::Visitor* PartnerCore::admit(const Sender& client) {
     visitor.session = ++last_session_;
     visitor.used = clock_.now();
     clients_of_[visitor.session] = client.id;
-    there_.open(visitor.session, displayName(settings_.home, client.name));
+    there_.open(visitor.session, displayName(settings_.home, client.name), TherePort::Use::Visit);
     return &visitor;
 }
 
@@ -499,7 +500,8 @@ void PartnerCore::end(const std::string& client, Ending ending, const Refusal& w
     if (why.ok()) return;
     // Whatever was answered already is settled at the client, who does not look at another answer.
     for (auto& asked : visitor.asked)
-        if (const auto* shown = ofThere(asked.there)) refuse(*shown, visitor.client, std::move(asked.answer), why);
+        if (const auto* shown = ofThere(asked.there))
+            refuse(*shown, visitor.client, std::move(asked.answer), why);
 }
 
 void PartnerCore::onTimer() {

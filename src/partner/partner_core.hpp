@@ -31,24 +31,25 @@ struct PartnerCoreSettings {
     std::size_t visitors_max = 200;
 };
 
-/// Joins two laboratories: shows the entities of the partner's at home, and routes between the clients of home
-/// and these entities (ADR 0046).
+/// Joins two laboratories: shows the entities of the partner's at home, and routes between the clients of
+/// home and these entities (ADR 0046).
 ///
 /// It does not know who holds what, what a lease is or what runs. The Entity Manager there decides about each
 /// message, as it does for clients of its own laboratory: each client of home that uses an entity there is a
 /// *visitor*, with a client session of its own there, and what that session may do is what the partner's
-/// server and Entity Managers say. The core exchanges headers' ids, names the entities after their laboratory,
-/// and removes the offers of direct paths and datagrams, which would go past it.
+/// server and Entity Managers say. The core exchanges headers' ids, names the entities after their
+/// laboratory, and removes the offers of direct paths and datagrams, which would go past it.
 ///
-/// States: without the session that watches (nothing is shown, and it is opened again and again, 100 ms to 2 s
-/// apart), with it. A visitor is opening, up or gone. When a session there is lost or silent, its client is
+/// States: without the session that watches (nothing is shown, and it is opened again and again, 100 ms to 2
+/// s apart), with it. A visitor is opening, up or gone. When a session there is lost or silent, its client is
 /// lost there, and its robots stop. When the session that watches is, all sessions there end and every entity
-/// leaves home. When the server at home is lost or silent, the visitors who asked for that entity are dropped,
-/// for the same reason.
+/// leaves home. When the server at home is lost or silent, the visitors who asked for that entity are
+/// dropped, for the same reason.
 ///
 /// Threads: one strand, on which the ports call back, too. Signals do not pass here: SignalRelay.
 /// Bounds: kWaitingMessages and kWaitingBytes for a visitor who is opening (then OVERLOADED), kAsked requests
-/// of each visitor whose refusals by the server there are answered, kHolders names of visitors who are gone.
+/// of each visitor whose refusals by the server there are answered, kHolders names of visitors who are gone,
+/// kEntities that are shown.
 /// A visitor who has asked neither for an entity nor for a stream leaves after kIdle.
 class PartnerCore {
   public:
@@ -58,6 +59,7 @@ class PartnerCore {
     static constexpr std::size_t kWaitingBytes = std::size_t{4} * 1024 * 1024;
     static constexpr std::size_t kAsked = 256;
     static constexpr std::size_t kHolders = 1024;
+    static constexpr std::size_t kEntities = 1000;
     static constexpr Duration kIdle = std::chrono::seconds{30};
     /// Call onTimer() this often: a fifth of the shortest watchdog of a client.
     static constexpr Duration kTurn = std::chrono::milliseconds{50};
@@ -123,7 +125,7 @@ class PartnerCore {
     };
     struct Asked {
         std::int64_t sequence = 0;
-        std::string there;      // the entity
+        std::string there;       // the entity
         proto::ToClient answer;  // with which it is refused, but for the reason
     };
     struct Visitor {
@@ -133,7 +135,7 @@ class PartnerCore {
         std::deque<Waiting> waiting;
         std::size_t waiting_bytes = 0;
         std::deque<Asked> asked;
-        std::set<std::string> wants;                // entities there that it has asked for a check-out or a stream
+        std::set<std::string> wants;  // entities there that it has asked for a check-out or a stream
         std::map<std::string, LeaseNumber> granted;  // by entity there
         TimePoint used{}, beats_at{};
         std::int64_t beats = 0;
@@ -181,12 +183,12 @@ class PartnerCore {
     Backoff backoff_{std::chrono::milliseconds{100}, std::chrono::seconds{2}};
     std::string last_failure_;  // that was noted
 
-    std::map<std::string, Shown> entities_;           // by UUID there
-    std::map<std::string, std::string> there_of_;     // UUID there, by UUID at home
-    std::set<std::string> hidden_;                    // UUIDs there of entities whose names are not shown, and noted
-    std::map<std::string, Visitor> visitors_;         // by client id at home
+    std::map<std::string, Shown> entities_;        // by UUID there
+    std::map<std::string, std::string> there_of_;  // UUID there, by UUID at home
+    std::set<std::string> hidden_;             // UUIDs there of entities whose names are not shown, and noted
+    std::map<std::string, Visitor> visitors_;  // by client id at home
     std::map<SessionNumber, std::string> clients_of_;  // client id at home, by session
-    std::map<std::string, Sender> holders_;           // client at home, by its id there, also of the gone
+    std::map<std::string, Sender> holders_;            // client at home, by its id there, also of the gone
     std::deque<std::string> holders_order_;
 };
 

@@ -51,7 +51,10 @@ struct Home final : HomePort {
 };
 
 struct There final : TherePort {
-    void open(SessionNumber session, const std::string& name) override { opened.emplace_back(session, name); }
+    void open(SessionNumber session, const std::string& name, Use use) override {
+        EXPECT_EQ(use == Use::Watch, !name.starts_with("a@"));
+        opened.emplace_back(session, name);
+    }
     void watches(SessionNumber session) override { watching = session; }
     void visits(SessionNumber session, const Sender& client) override { visiting[session] = client.id; }
     bool send(SessionNumber session, client::Operation operation, const Header& head,
@@ -84,7 +87,8 @@ struct PartnerCoreTest : testing::Test {
     There there;
     SignalRelay signals;
     std::vector<std::string> notes;
-    PartnerCore core{{"b", "a", 2}, clock, home, there, signals, [this](const auto& line) { notes.push_back(line); }};
+    PartnerCore core{{"b", "a", 2}, clock,   home,
+                     there,         signals, [this](const auto& line) { notes.push_back(line); }};
     SessionNumber watch = 0;
 
     void SetUp() override {
@@ -163,9 +167,19 @@ TEST_F(PartnerCoreTest, WhatThePartnerShowsForOthersIsNotShownAndSaidOnce) {
     robot("r2", "a/PeopleBot");
     robot("r2", "a/PeopleBot", Presence::Changed);
     EXPECT_EQ(core.entities(), 1U);
-    EXPECT_EQ(std::count_if(notes.begin(), notes.end(), [](const auto& line) { return line.find("a/PeopleBot") != std::string::npos; }), 1);
+    EXPECT_EQ(std::count_if(notes.begin(), notes.end(),
+                            [](const auto& line) { return line.find("a/PeopleBot") != std::string::npos; }),
+              1);
     robot(kRobot, "c/PeopleBot", Presence::Changed);
     EXPECT_THAT(home.left, ElementsAre(kRobotHome)) << "one that takes such a name leaves";
+}
+
+TEST_F(PartnerCoreTest, OnlySoManyEntitiesAreShown) {
+    for (std::size_t i = 0; i <= PartnerCore::kEntities; ++i)
+        robot("r-" + std::to_string(i), "Bot" + std::to_string(i));
+    EXPECT_EQ(core.entities(), PartnerCore::kEntities);
+    robot(kRobot, "PeopleBot", Presence::Changed);
+    EXPECT_EQ(home.shown.size(), 2U) << "those that are shown go on";
 }
 
 TEST_F(PartnerCoreTest, AProfileThatIsNoneIsIgnored) {
@@ -315,7 +329,8 @@ TEST_F(PartnerCoreTest, AClientThatIsNotLetInIsToldWhy) {
     core.onRefused(there.opened.back().first, {RefusalCode::Overloaded, "256 sessions", {}});
     ASSERT_EQ(home.sent.size(), 1U);
     EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::OVERLOADED);
-    EXPECT_THAT(home.sent[0].message.check_out().refusal().message(), HasSubstr("b does not let this client in"));
+    EXPECT_THAT(home.sent[0].message.check_out().refusal().message(),
+                HasSubstr("b does not let this client in"));
     EXPECT_EQ(core.visitors(), 0U);
 }
 

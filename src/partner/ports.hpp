@@ -54,8 +54,12 @@ using SessionNumber = std::uint64_t;
 class TherePort {
   public:
     virtual ~TherePort() = default;
+    enum class Use : std::uint8_t {
+        Watch,  ///< it is told of entities and their statuses
+        Visit   ///< a client at home has it, and has heard of those by the other one
+    };
     /// Answered by PartnerCore::onOpened or onRefused, on another turn of the strand.
-    virtual void open(SessionNumber session, const std::string& display_name) = 0;
+    virtual void open(SessionNumber session, const std::string& display_name, Use use) = 0;
     /// It is the one that watches: stops of clients without a session go there.
     virtual void watches(SessionNumber session) = 0;
     /// Signals of this client at home go there, until it has ended.

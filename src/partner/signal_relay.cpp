@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "partner/signal_relay.hpp"
 
+#include <algorithm>
+
 #include "partner/translation.hpp"
 
 namespace axon::partner {
@@ -35,9 +37,13 @@ void SignalRelay::end(const std::string& client) {
     ended_.pop_front();
 }
 
-bool SignalRelay::visits(const std::string& client) const {
+bool SignalRelay::hasVisited(const std::string& client) const {
     const std::lock_guard lock(mutex_);
-    return visitors_.contains(client);
+    return !visitors_.contains(client) &&
+           std::any_of(ended_.begin(), ended_.end(), [&](const std::string& there) {
+               const auto found = clients_.find(there);
+               return found != clients_.end() && found->second.id == client;
+           });
 }
 
 std::int64_t SignalRelay::numberOf(const Header& head) {

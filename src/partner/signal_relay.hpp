@@ -21,14 +21,14 @@ namespace axon::partner {
 /// that a signal never waits for data, for a status or for a session to be opened.
 ///
 /// Where in the flow: what a server at home says to an entity that is shown comes in by stop() and command(),
-/// on the threads of the signal lane; it leaves on the signal lane of a session there. A stop of a client that
-/// has a session there goes by that one, under its own number; any other goes by the session that watches,
-/// under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it for the
-/// same stop. translate() turns what a receipt there says into what it says at home.
+/// on the threads of the signal lane; it leaves on the signal lane of a session there. A stop of a client
+/// that has a session there goes by that one, under its own number; any other goes by the session that
+/// watches, under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it
+/// for the same stop. translate() turns what a receipt there says into what it says at home.
 ///
 /// Threads: any; no call waits, and nothing is sent while the lock is held. Bounds: kRemembered stops that
-/// went by the session that watches, and kRemembered sessions that have ended; the oldest go first, and a stop
-/// that is sent again after that is a new one.
+/// went by the session that watches, and kRemembered sessions that have ended; the oldest go first, and a
+/// stop that is sent again after that is a new one.
 class SignalRelay {
   public:
     static constexpr std::size_t kRemembered = 4096;
@@ -45,7 +45,8 @@ class SignalRelay {
     void visit(const Sender& client, const Sender& there, Lanes lanes);
     /// Its session has ended. Receipts that name it are translated still.
     void end(const std::string& client);
-    bool visits(const std::string& client) const;
+    /// It had a session there, which has ended.
+    bool hasVisited(const std::string& client) const;
 
     /// `entity`: UUID there. False: no session is there, and nothing was sent.
     bool stop(const std::string& entity, const Header& head, StopCause cause);
@@ -73,12 +74,13 @@ class SignalRelay {
     // Guarded by mutex_:
     Lanes watch_;
     Sender watcher_;
-    std::int64_t last_ = 0;                                               // number of a stop by the watching session
-    std::map<std::pair<std::string, std::int64_t>, std::int64_t> given_;  // its number, by client and number at home
-    std::map<std::int64_t, Origin> origins_;                              // by its number
-    std::map<std::string, Visitor> visitors_;                             // by client at home
-    std::map<std::string, Sender, std::less<>> clients_;                  // by id there
-    std::deque<std::string> ended_;                                       // ids there, oldest first
+    std::int64_t last_ = 0;  // number of a stop by the watching session
+    std::map<std::pair<std::string, std::int64_t>, std::int64_t>
+        given_;                                           // its number, by client and number at home
+    std::map<std::int64_t, Origin> origins_;              // by its number
+    std::map<std::string, Visitor> visitors_;             // by client at home
+    std::map<std::string, Sender, std::less<>> clients_;  // by id there
+    std::deque<std::string> ended_;                       // ids there, oldest first
 };
 
 }  // namespace axon::partner

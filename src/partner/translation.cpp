@@ -90,18 +90,21 @@ proto::ToClient refused(const proto::ToEntity& message, const Refusal& refusal) 
 Refusal mayNotPass(const proto::ToEntity& message, Role client, Role account, bool holds) {
     const auto* right = rightOf(message.body_case());
     if (right == nullptr)
-        return {RefusalCode::NotSupported,
-                "The gateway to that laboratory does not know this kind of request. Is the client newer than it?",
-                {}};
+        return {
+            RefusalCode::NotSupported,
+            "The gateway to that laboratory does not know this kind of request. Is the client newer than it?",
+            {}};
     if (right->who == Who::Nobody)
         return {RefusalCode::PermissionDenied,
-                "Entities of different laboratories do not take part in one run, so this message is not passed on.",
+                "Entities of different laboratories do not take part in one run, so this message is not "
+                "passed on.",
                 {}};
     if (message.has_collaboration())
-        return {RefusalCode::NotSupported,
-                "A global service is not carried out by entities of another laboratory: their laboratory knows "
-                "neither the roles nor the UUIDs of this one. Ask a client of that laboratory to run it.",
-                {}};
+        return {
+            RefusalCode::NotSupported,
+            "A global service is not carried out by entities of another laboratory: their laboratory knows "
+            "neither the roles nor the UUIDs of this one. Ask a client of that laboratory to run it.",
+            {}};
     if (message.has_way())
         return {RefusalCode::NotSupported, "There is no direct path to another laboratory's entities.", {}};
     if (right->who == Who::Operator && client == Role::Observer)
@@ -113,9 +116,7 @@ Refusal mayNotPass(const proto::ToEntity& message, Role client, Role account, bo
                 "Only an administrator of both laboratories may take an entity over by force.",
                 {}};
     if (right->who == Who::HolderOrAdmin && client != Role::Admin && account == Role::Admin && !holds)
-        return {RefusalCode::NotHolder,
-                "This client does not hold the entity: check it out first.",
-                {}};
+        return {RefusalCode::NotHolder, "This client does not hold the entity: check it out first.", {}};
     return {};
 }
 

@@ -21,7 +21,8 @@ bool isLaboratoryName(std::string_view name);
 /// again and again; and for a name that no server would take with the laboratory's before it.
 std::optional<std::string> nameAtHome(std::string_view laboratory, std::string_view name);
 
-/// What a client of `laboratory` is called there. A server with users calls it USER@ and what follows the last
+/// What a client of `laboratory` is called there. A server with users calls it USER@ and what follows the
+/// last
 /// '@' of this, so that has the whole name of the client.
 std::string displayName(std::string_view laboratory, std::string_view client);
 

@@ -78,7 +78,8 @@ TEST(TranslationTest, TheAccountOfAnAdministratorRearmsForNoStranger) {
     message.mutable_rearm();
     EXPECT_EQ(mayNotPass(message, Role::Operator, Role::Admin, false).code, RefusalCode::NotHolder);
     EXPECT_TRUE(mayNotPass(message, Role::Operator, Role::Admin, true).ok()) << "who holds it";
-    EXPECT_TRUE(mayNotPass(message, Role::Operator, Role::Operator, false).ok()) << "the Entity Manager says no";
+    EXPECT_TRUE(mayNotPass(message, Role::Operator, Role::Operator, false).ok())
+        << "the Entity Manager says no";
 }
 
 TEST(TranslationTest, RunsAndDirectPathsAreRefused) {
