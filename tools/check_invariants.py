@@ -40,6 +40,7 @@ ICE_ALLOWED = (
     "src/entity_manager/main.cpp",
     "src/partner/main.cpp",
     "src/server/*",
+    "src/router_guard/*",
     "bench/*",
     "faults/raw_client.*",
     "faults/raw_paths.*",
