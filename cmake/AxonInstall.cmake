@@ -95,7 +95,7 @@ if(AXON_ICE)
   # The command and the daemons.
   list(APPEND packages axon axon-server axon-entity-manager)
   axon_install_programs(axon axon)
-  axon_install_programs(axon-server axon-server)
+  axon_install_programs(axon-server axon-server axon-partner)
   install(TARGETS axon_router_guard LIBRARY DESTINATION lib/axon COMPONENT axon-server) # where axon-cluster expects it
   add_dependencies(installed_programs axon_router_guard)
   if(AXON_WEB)

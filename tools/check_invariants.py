@@ -38,6 +38,7 @@ ICE_ALLOWED = (
     "src/entity_manager/links/server/*",
     "src/entity_manager/links/direct/direct_door.*",
     "src/entity_manager/main.cpp",
+    "src/partner/main.cpp",
     "src/server/*",
     "src/router_guard/*",
     "bench/*",

@@ -50,7 +50,8 @@ out between commands, and completion for bash, zsh and fish."
 debian_package(axon-server science DESCRIPTION "server to which clients and robots of an Axon laboratory connect
 ${about}
 This package has the server and its systemd service, which listens on this
-machine only until /etc/axon/server.cfg says otherwise."
+machine only until /etc/axon/server.cfg says otherwise, and axon-partner, which
+shows the robots of another laboratory here (axon-partner@NAME)."
   DEPENDS adduser RECOMMENDS "axon ${same}")
 debian_package(axon-entity-manager science DESCRIPTION "Entity Manager: decides who may command a robot
 ${about}

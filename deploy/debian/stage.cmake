@@ -28,6 +28,7 @@ foreach(package IN LISTS CPACK_COMPONENTS_ALL)
     file(WRITE "${root}/etc/axon/server.cfg" "${text}")
     put("${debian}/axon-server/default" etc/default axon-server)
     put("${CPACK_AXON_SOURCE}/deploy/systemd/axon-server.service" usr/lib/systemd/system)
+    put("${CPACK_AXON_SOURCE}/deploy/systemd/axon-partner@.service" usr/lib/systemd/system)
   elseif(package STREQUAL "axon-entity-manager")
     # The example, without the name of its application: the unit has it.
     file(READ "${config}/entitymanager.cfg" text)

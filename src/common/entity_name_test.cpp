@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include "common/laboratory_name.hpp"
+
 namespace axon {
 namespace {
 
@@ -13,6 +15,16 @@ TEST(EntityNames, AreNotWhatPeopleWriteForAnotherEntity) {
     for (const auto* name : {"Q#2", "Q#0", "#1", "Q#1#12", "Q#99999999999999999999999",
                              "00000001-1111-4111-8111-111111111111", "0000000A-1111-4111-8111-111111111111"})
         EXPECT_FALSE(isEntityName(name)) << name;
+}
+
+TEST(LaboratoryNames, ACertificatePermitsOneNameOrThoseOfOneLaboratory) {
+    EXPECT_TRUE(certificatePermits("Arm", "Arm"));
+    EXPECT_TRUE(certificatePermits("b/", "b/Arm"));
+    EXPECT_TRUE(certificatePermits("b/Arm", "b/Arm"));
+    for (const auto* name : {"b/", "b", "", "c/Arm", "bb/Arm", "B/Arm", "Arm"})
+        EXPECT_FALSE(certificatePermits("b/", name)) << name;
+    EXPECT_FALSE(certificatePermits("Arm", "Arm2"));
+    EXPECT_FALSE(certificatePermits("/", "/Arm")) << "no laboratory has an empty name";
 }
 
 }  // namespace

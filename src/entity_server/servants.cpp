@@ -5,6 +5,7 @@
 
 #include <utility>
 
+#include "common/laboratory_name.hpp"
 #include "common/queue_share.hpp"
 #include "transport/ice/bound_uuid.hpp"
 #include "transport/ice/communicator.hpp"
@@ -238,11 +239,13 @@ void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registrati
         throw toIce(refusal);
     }
     // An entity that is not ready is called by the name of its application, which need not be its own.
-    if (!certified_.empty() && toView(profile).empty()) its.name = certified_;
-    if (!certified_.empty() && its.name != certified_) {
+    const bool of_partner = certified_.ends_with(kLaboratorySeparator);
+    if (!certified_.empty() && !of_partner && toView(profile).empty()) its.name = certified_;
+    if (!certified_.empty() && !certificatePermits(certified_, its.name)) {
         const auto refusal = "the certificate that was shown is the entity '" + certified_ +
-                             "'s; expected its name in the basic profile, not '" + its.name +
-                             "': axon certs issue --entity NAME makes one for another name";
+                             (of_partner ? "'s, a partner's laboratory; expected a name that begins so, not '"
+                                         : "'s; expected its name in the basic profile, not '") +
+                             its.name + "': axon certs issue --entity NAME makes one for another name";
         spdlog::warn("audit: registration refused, from {}: {}", session_.peer()->peer(), refusal);
         lane_.turnedAway(session_.peer()->peer(), kRegistration,
                          {RefusalCode::PermissionDenied, refusal, {}});

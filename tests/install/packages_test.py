@@ -207,7 +207,7 @@ class BareSystem(Test):
 
     def units_are_sound(self):
         self.ok("apt-get", "install", "-y", "--no-install-recommends", "zeroc-icegrid", "zeroc-ice-utils")
-        for unit in ("axon-server.service", "axon-entity-manager@Greeter.service", "axon-icegridregistry.service", "axon-icegridnode.service"):
+        for unit in ("axon-server.service", "axon-partner@b.service", "axon-entity-manager@Greeter.service", "axon-icegridregistry.service", "axon-icegridnode.service"):
             self.assertEqual(self.ok("systemd-analyze", "verify", unit), "", unit)
             exposure = self.ok("systemd-analyze", "security", "--no-pager", unit)
             level = float(re.search(r"Overall exposure level for \S+: ([\d.]+)", exposure).group(1))

@@ -186,9 +186,9 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                           forward<EntitySessionPrx>(&EntitySessionPrx::sendToPeerAsync));
     }
 
-    void sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    void sendToClientDataSeq(const Header& head, const std::string& message) {
         if (!up_) return;
-        data_outbox_->send(Traffic::Data, head, message.SerializeAsString(),
+        data_outbox_->send(Traffic::Data, head, message,
                            forward<EntitySessionPrx>(&EntitySessionPrx::sendToClientDataSeqAsync));
     }
 
@@ -608,6 +608,9 @@ void EntityCommunicator::sendToPeer(Lane lane, const Header& head, const proto::
     connection_->sendToPeer(lane, head, message);
 }
 void EntityCommunicator::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    connection_->sendToClientDataSeq(head, message.SerializeAsString());
+}
+void EntityCommunicator::sendToClientDataSeqBytes(const Header& head, const std::string& message) {
     connection_->sendToClientDataSeq(head, message);
 }
 std::string EntityCommunicator::localAddress() const {

@@ -75,6 +75,8 @@ class EntityCommunicator final : public RelayedWay {
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
     void sendToClientBytes(Lane lane, const Header& head, const std::string& message) override;
+    /// An axon.proto.ToClient that has been written already; otherwise as sendToClientDataSeq.
+    void sendToClientDataSeqBytes(const Header& head, const std::string& message);
 
     /// The address of this machine at which the way to the server begins; empty while there is no session. On
     /// the strand.

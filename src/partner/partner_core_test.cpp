@@ -1,0 +1,497 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "partner/partner_core.hpp"
+
+#include <gmock/gmock.h>
+
+#include <vector>
+
+namespace axon::partner {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+struct ToHome {
+    Lane lane;
+    Header head;
+    std::string bytes;
+    proto::ToClient message;
+};
+struct ToThere {
+    SessionNumber session;
+    client::Operation operation;
+    Header head;
+    std::string bytes;
+};
+
+struct Home final : HomePort {
+    std::string uuidAtHome(std::string_view there) override { return "home-" + std::string(there); }
+    std::string strangerAtHome(std::string_view id) override { return "stranger-" + std::string(id); }
+    void join(const ShownEntity& entity) override { joined.push_back(entity.name); }
+    void leave(const std::string& home) override { left.push_back(home); }
+    void renew(const std::string& home) override { renewed.push_back(home); }
+    void show(const Registration& its, const proto::BasicProfile& profile) override {
+        shown.emplace_back(its, profile);
+    }
+    void tellStatus(const EntityStatus& status) override { statuses.push_back(status); }
+    void toClient(Lane lane, const Header& head, const std::string& bytes) override {
+        ToHome one{lane, head, bytes, {}};
+        EXPECT_TRUE(one.message.ParseFromString(bytes));
+        sent.push_back(std::move(one));
+    }
+    void toClientDataSeq(const Header& head, const std::string& bytes) override {
+        data.push_back({Lane::Data, head, bytes, {}});
+    }
+    std::vector<std::string> joined, left, renewed;
+    std::vector<std::pair<Registration, proto::BasicProfile>> shown;
+    std::vector<EntityStatus> statuses;
+    std::vector<ToHome> sent, data;
+};
+
+struct There final : TherePort {
+    void open(SessionNumber session, const std::string& name, Use use) override {
+        EXPECT_EQ(use == Use::Watch, !name.starts_with("a@"));
+        opened.emplace_back(session, name);
+    }
+    void watches(SessionNumber session) override { watching = session; }
+    void visits(SessionNumber session, const Sender& client) override { visiting[session] = client.id; }
+    bool send(SessionNumber session, client::Operation operation, const Header& head,
+              std::string bytes) override {
+        if (full) return false;
+        sent.push_back({session, operation, head, std::move(bytes)});
+        return true;
+    }
+    void keepAlive(SessionNumber session, std::int64_t) override { ++beats[session]; }
+    void leave(SessionNumber session) override { left.push_back(session); }
+    void drop(SessionNumber session) override { dropped.push_back(session); }
+    std::vector<std::pair<SessionNumber, std::string>> opened;
+    SessionNumber watching = 0;
+    std::map<SessionNumber, std::string> visiting;
+    bool full = false;
+    std::vector<ToThere> sent;
+    std::map<SessionNumber, int> beats;
+    std::vector<SessionNumber> left, dropped;
+};
+
+constexpr const char* kRobot = "r1";
+constexpr const char* kRobotHome = "home-r1";
+const Sender kAnn{"ann-id", "ann@desk", Role::Operator};
+const Sender kBob{"bob-id", "bob@desk", Role::Operator};
+const Sender kAnnThere{"ann-there", "lab-a@ann at desk", Role::Operator};
+
+struct PartnerCoreTest : testing::Test {
+    ManualClock clock;
+    Home home;
+    There there;
+    SignalRelay signals;
+    std::vector<std::string> notes;
+    PartnerCore core{{"b", "a", 2}, clock,   home,
+                     there,         signals, [this](const auto& line) { notes.push_back(line); }};
+    SessionNumber watch = 0;
+
+    void SetUp() override {
+        core.start();
+        watch = there.opened.back().first;
+        core.onOpened(watch, {"w", "lab-a", Role::Operator}, {});
+        robot(kRobot, "PeopleBot");
+        core.onStatus(watch, statusOf({}, EntityState::IDLE));
+        core.onHomeUp(kRobotHome);
+    }
+    void robot(const std::string& uuid, const std::string& name, Presence presence = Presence::Joined) {
+        Registration registration;
+        registration.entity = uuid;
+        registration.name = name;
+        proto::BasicProfile profile;
+        profile.set_entity_id(uuid);
+        profile.set_name(name);
+        core.onProfile(watch, presence, registration, profile.SerializeAsString());
+    }
+    static EntityStatus statusOf(const Sender& holder, EntityState state) {
+        EntityStatus status;
+        status.entity = kRobot;
+        status.state = state;
+        status.holder = holder;
+        status.held = {3, 5};
+        status.server = "es1";
+        return status;
+    }
+    void say(const Sender& client, const char* type, const proto::ToEntity& message, LeaseNumber held = {},
+             std::int64_t sequence = 1) {
+        Header head;
+        head.sender = client;
+        head.entity = kRobotHome;
+        head.msg_type = type;
+        head.sequence = sequence;
+        head.held = held;
+        core.onClientMsg(kRobotHome, false, head, message.SerializeAsString());
+    }
+    void checkOut(const Sender& client, std::int64_t sequence = 1) {
+        proto::ToEntity message;
+        message.mutable_check_out()->set_request_id("0123456789abcdef");
+        message.mutable_check_out()->set_phase(proto::TAKE);
+        say(client, kMsgCheckOut, message, {}, sequence);
+    }
+    SessionNumber visit(const Sender& client, const Sender& as) {
+        checkOut(client);
+        const auto session = there.opened.back().first;
+        core.onOpened(session, as, {});
+        return session;
+    }
+    void fromThere(SessionNumber session, const proto::ToClient& message, Lane lane = Lane::Data) {
+        Header head;
+        head.sender = kAnnThere;
+        head.entity = kRobot;
+        head.held = {3, 5};
+        head.stop_generation = 9;
+        core.onEntityMsg(session, lane, false, head, message.SerializeAsString());
+    }
+    void pass(Duration time) {
+        for (const auto until = clock.now() + time; clock.now() < until; clock.advance(25ms)) core.onTimer();
+    }
+};
+
+TEST_F(PartnerCoreTest, AnEntityIsShownUnderTheNameOfItsLaboratoryWithAUuidOfItsOwn) {
+    EXPECT_THAT(home.joined, ElementsAre("b/PeopleBot"));
+    ASSERT_EQ(home.shown.size(), 1U);
+    EXPECT_EQ(home.shown[0].first.entity, kRobotHome);
+    EXPECT_EQ(home.shown[0].second.name(), "b/PeopleBot");
+    EXPECT_EQ(home.shown[0].second.entity_id(), kRobotHome);
+    ASSERT_EQ(home.statuses.size(), 1U);
+    EXPECT_EQ(home.statuses[0].entity, kRobotHome);
+    EXPECT_EQ(home.statuses[0].server, "") << "of a server there nobody knows anything here";
+}
+
+TEST_F(PartnerCoreTest, WhatThePartnerShowsForOthersIsNotShownAndSaidOnce) {
+    robot("r2", "a/PeopleBot");
+    robot("r2", "a/PeopleBot", Presence::Changed);
+    EXPECT_EQ(core.entities(), 1U);
+    EXPECT_EQ(std::count_if(notes.begin(), notes.end(),
+                            [](const auto& line) { return line.find("a/PeopleBot") != std::string::npos; }),
+              1);
+    robot(kRobot, "c/PeopleBot", Presence::Changed);
+    EXPECT_THAT(home.left, ElementsAre(kRobotHome)) << "one that takes such a name leaves";
+}
+
+TEST_F(PartnerCoreTest, OnlySoManyEntitiesAreShown) {
+    for (std::size_t i = 0; i <= PartnerCore::kEntities; ++i)
+        robot("r-" + std::to_string(i), "Bot" + std::to_string(i));
+    EXPECT_EQ(core.entities(), PartnerCore::kEntities);
+    robot(kRobot, "PeopleBot", Presence::Changed);
+    EXPECT_EQ(home.shown.size(), 2U) << "those that are shown go on";
+}
+
+TEST_F(PartnerCoreTest, AProfileThatIsNoneIsIgnored) {
+    Registration registration;
+    registration.entity = "r9";
+    registration.name = "X";
+    core.onProfile(watch, Presence::Joined, registration, "\xff\xff\xff");
+    EXPECT_EQ(core.entities(), 1U);
+}
+
+TEST_F(PartnerCoreTest, AClientThatAsksHasASessionOfItsOwnAndNothingIsSentBeforeIt) {
+    checkOut(kAnn);
+    ASSERT_EQ(there.opened.size(), 2U);
+    EXPECT_EQ(there.opened[1].second, "a@ann at desk");
+    EXPECT_THAT(there.sent, IsEmpty());
+    const auto session = there.opened[1].first;
+    core.onOpened(session, kAnnThere, {});
+    EXPECT_EQ(there.visiting.at(session), "ann-id");
+    ASSERT_EQ(there.sent.size(), 1U);
+    EXPECT_EQ(there.sent[0].session, session);
+    EXPECT_EQ(there.sent[0].head.entity, kRobot);
+    EXPECT_EQ(there.sent[0].head.msg_type, kMsgCheckOut);
+    EXPECT_EQ(there.sent[0].head.sender.id, "") << "the server there says who it is";
+}
+
+TEST_F(PartnerCoreTest, MessagesPassUnchangedEachByTheSessionOfItsSender) {
+    const auto ann = visit(kAnn, kAnnThere);
+    const auto bob = visit(kBob, {"bob-there", "lab-a@bob", Role::Operator});
+    there.sent.clear();
+    proto::ToEntity task;
+    task.mutable_task()->set_task_id("0123456789abcdef");
+    say(kAnn, kMsgTask, task, {3, 5}, 2);
+    say(kBob, kMsgTask, task, {3, 5}, 2);  // under the lease of another
+    ASSERT_EQ(there.sent.size(), 2U);
+    EXPECT_EQ(there.sent[0].session, ann);
+    EXPECT_EQ(there.sent[0].bytes, task.SerializeAsString());
+    EXPECT_EQ(there.sent[0].head.held, (LeaseNumber{3, 5}));
+    EXPECT_EQ(there.sent[1].session, bob) << "whose the lease is, its Entity Manager knows";
+}
+
+TEST_F(PartnerCoreTest, AnAnswerGoesToItsClientWithoutOffersThatLeadPastTheGateway) {
+    const auto session = visit(kAnn, kAnnThere);
+    proto::ToClient message;
+    auto& reply = *message.mutable_check_out();
+    reply.mutable_lease()->set_epoch(3);
+    reply.mutable_lease()->set_number(5);
+    reply.mutable_lease()->set_key("key");
+    reply.set_datagram_endpoint("10.0.0.1:1");
+    reply.set_direct_endpoint("10.0.0.1:2");
+    reply.set_direct_signal_endpoint("10.0.0.1:3");
+    reply.mutable_services()->add_services()->set_entity_id(kRobot);
+    fromThere(session, message);
+    ASSERT_EQ(home.sent.size(), 1U);
+    const auto& told = home.sent[0];
+    EXPECT_EQ(told.head.sender.id, "ann-id");
+    EXPECT_EQ(told.head.entity, kRobotHome);
+    EXPECT_EQ(told.head.stop_generation, 9);
+    EXPECT_EQ(told.message.check_out().lease().key(), "key");
+    EXPECT_EQ(told.message.check_out().services().services(0).entity_id(), kRobotHome);
+    EXPECT_EQ(told.message.check_out().datagram_endpoint(), "");
+    EXPECT_EQ(told.message.check_out().direct_endpoint(), "");
+    EXPECT_EQ(told.message.check_out().direct_signal_endpoint(), "");
+}
+
+TEST_F(PartnerCoreTest, OtherMessagesOfAnEntityPassByteForByte) {
+    const auto session = visit(kAnn, kAnnThere);
+    proto::ToClient message;
+    message.mutable_task()->set_progress(0.5);
+    fromThere(session, message);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].bytes, message.SerializeAsString());
+    Header head;
+    head.entity = kRobot;
+    core.onEntityMsg(session, Lane::Data, true, head, "whatever");
+    ASSERT_EQ(home.data.size(), 1U);
+    EXPECT_EQ(home.data[0].bytes, "whatever");
+    EXPECT_EQ(home.data[0].head.sender.id, "ann-id");
+}
+
+TEST_F(PartnerCoreTest, MessagesOfUnknownEntitiesSessionsAndContentsGoNowhere) {
+    const auto session = visit(kAnn, kAnnThere);
+    proto::ToClient message;
+    message.mutable_text()->set_text("x");
+    Header head;
+    head.entity = "unknown";
+    core.onEntityMsg(session, Lane::Data, false, head, message.SerializeAsString());
+    head.entity = kRobot;
+    core.onEntityMsg(99, Lane::Data, false, head, message.SerializeAsString());
+    core.onEntityMsg(watch, Lane::Data, false, head, message.SerializeAsString());
+    core.onEntityMsg(session, Lane::Data, false, head, "\xff\xff");
+    core.onClientMsg("unknown", false, head, "x");
+    core.onStatus(99, statusOf({}, EntityState::BUSY));
+    EXPECT_THAT(home.sent, IsEmpty());
+    EXPECT_EQ(home.statuses.size(), 1U);
+}
+
+TEST_F(PartnerCoreTest, AMessageThatIsNoneIsRefusedHere) {
+    Header head;
+    head.sender = kAnn;
+    core.onClientMsg(kRobotHome, false, head, "\xff\xff");
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].message.reply().refusal().code(), proto::MALFORMED);
+    EXPECT_EQ(there.opened.size(), 1U) << "no session is opened for it";
+}
+
+TEST_F(PartnerCoreTest, TheHolderIsCalledAsAtHomeOrByAnIdOfNobody) {
+    visit(kAnn, kAnnThere);
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::REG));
+    EXPECT_EQ(home.statuses.back().holder.id, "ann-id");
+    EXPECT_EQ(home.statuses.back().holder.name, "ann@desk");
+    EXPECT_EQ(home.statuses.back().held, (LeaseNumber{3, 5}));
+    core.onStatus(watch, statusOf({"fe1:x:y", "carol@b", Role::Operator}, EntityState::REG));
+    EXPECT_EQ(home.statuses.back().holder.id, "stranger-fe1:x:y");
+    EXPECT_EQ(home.statuses.back().holder.name, "carol@b");
+}
+
+TEST_F(PartnerCoreTest, WhatOnlyAHolderMaySayOpensNoSession) {
+    proto::ToEntity task;
+    task.mutable_task()->set_task_id("0123456789abcdef");
+    say(kBob, kMsgTask, task, {3, 5});
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].head.sender.id, "bob-id");
+    EXPECT_EQ(home.sent[0].message.reply().request_id(), "0123456789abcdef");
+    EXPECT_EQ(home.sent[0].message.reply().refusal().code(), proto::NOT_HOLDER);
+    EXPECT_EQ(there.opened.size(), 1U);
+}
+
+TEST_F(PartnerCoreTest, ARefusalOfTheServerThereAnswersTheRequest) {
+    const auto session = visit(kAnn, kAnnThere);
+    Header head;
+    head.entity = kRobot;
+    head.msg_type = kMsgCheckOut;
+    head.sequence = 1;
+    core.onRefusal(session, head, {RefusalCode::PermissionDenied, "not on the list", {}});
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].head.msg_type, kMsgCheckOut);
+    EXPECT_EQ(home.sent[0].message.check_out().request_id(), "0123456789abcdef");
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::PERMISSION_DENIED);
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().message(), "not on the list");
+    head.sequence = 77;
+    core.onRefusal(session, head, {RefusalCode::PermissionDenied, "of nothing", {}});
+    EXPECT_EQ(home.sent.size(), 1U);
+}
+
+TEST_F(PartnerCoreTest, AClientThatIsNotLetInIsToldWhy) {
+    checkOut(kAnn);
+    core.onRefused(there.opened.back().first, {RefusalCode::Overloaded, "256 sessions", {}});
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::OVERLOADED);
+    EXPECT_THAT(home.sent[0].message.check_out().refusal().message(),
+                HasSubstr("b does not let this client in"));
+    EXPECT_EQ(core.visitors(), 0U);
+}
+
+TEST_F(PartnerCoreTest, OnlySoManyVisitAndSoMuchWaits) {
+    checkOut(kAnn);
+    checkOut(kBob);
+    checkOut({"carol-id", "carol", Role::Operator});
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].head.sender.id, "carol-id");
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::OVERLOADED);
+    for (std::size_t i = 0; i < PartnerCore::kWaitingMessages; ++i) checkOut(kAnn, static_cast<int>(i) + 2);
+    ASSERT_EQ(home.sent.size(), 2U);
+    EXPECT_EQ(home.sent[1].head.sender.id, "ann-id");
+    EXPECT_EQ(home.sent[1].message.check_out().refusal().code(), proto::OVERLOADED);
+}
+
+TEST_F(PartnerCoreTest, AServerThatDoesNotReadRefusesMore) {
+    visit(kAnn, kAnnThere);
+    there.full = true;
+    checkOut(kAnn, 2);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::OVERLOADED);
+}
+
+TEST_F(PartnerCoreTest, AClientLeavesThereAsItLeavesHome) {
+    const auto ann = visit(kAnn, kAnnThere);
+    const auto bob = visit(kBob, {"bob-there", "b", Role::Operator});
+    core.onClientUpdate("unknown", "ann-id", ClientChange::Lost);
+    EXPECT_THAT(there.dropped, IsEmpty());
+    core.onClientUpdate(kRobotHome, "ann-id", ClientChange::Lost);
+    core.onClientUpdate(kRobotHome, "bob-id", ClientChange::Ended);
+    core.onClientUpdate(kRobotHome, "bob-id", ClientChange::Ended);
+    EXPECT_THAT(there.dropped, ElementsAre(ann));
+    EXPECT_THAT(there.left, ElementsAre(bob));
+    EXPECT_EQ(core.visitors(), 0U);
+}
+
+TEST_F(PartnerCoreTest, ALostSessionAnswersWhatWasUnderWay) {
+    const auto ann = visit(kAnn, kAnnThere);
+    core.onClosed(ann, "cut");
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::OUTCOME_UNKNOWN);
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::REG));
+    EXPECT_EQ(home.statuses.back().holder.id, "ann-id") << "whose grace runs is said by the right name";
+    checkOut(kAnn, 2);
+    EXPECT_EQ(there.opened.size(), 3U) << "with which it takes up its lease again";
+}
+
+TEST_F(PartnerCoreTest, ALostLaboratoryLeavesHomeAndIsLookedForAgain) {
+    const auto ann = visit(kAnn, kAnnThere);
+    core.onClosed(watch, "cut");
+    EXPECT_THAT(home.left, ElementsAre(kRobotHome));
+    EXPECT_THAT(there.dropped, ElementsAre(watch, ann));
+    EXPECT_EQ(there.opened.size(), 2U);
+    pass(200ms);
+    ASSERT_EQ(there.opened.size(), 3U);
+    const auto second = there.opened.back().first;
+    core.onRefused(second, {RefusalCode::Unavailable, "nobody there", {}});
+    core.onProfile(watch, Presence::Joined, {}, {});  // late, of the first session
+    EXPECT_EQ(core.entities(), 0U);
+    pass(300ms);
+    EXPECT_EQ(there.opened.size(), 4U);
+}
+
+TEST_F(PartnerCoreTest, ASilentServerThereIsLost) {
+    pass(9s);
+    EXPECT_THAT(home.left, IsEmpty());
+    EXPECT_GT(there.beats[watch], 4);
+    core.onHomeHeartbeat(kRobotHome);
+    pass(1100ms);
+    EXPECT_THAT(home.left, ElementsAre(kRobotHome));
+}
+
+TEST_F(PartnerCoreTest, WhileARobotOfAVisitorMovesItsServerMayBeSilentForItsShortWatchdog) {
+    const auto ann = visit(kAnn, kAnnThere);
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::BUSY));
+    core.onHomeHeartbeat(kRobotHome);
+    pass(200ms);
+    EXPECT_THAT(there.dropped, IsEmpty());
+    EXPECT_GE(there.beats[ann], 4) << "and it beats in a fifth of that";
+    core.onHomeHeartbeat(kRobotHome);
+    pass(100ms);
+    EXPECT_THAT(there.dropped, testing::Contains(ann));
+}
+
+TEST_F(PartnerCoreTest, WhenTheServerAtHomeIsLostOrSilentItsClientsAreLostThere) {
+    const auto ann = visit(kAnn, kAnnThere);
+    core.onHomeDown(kRobotHome, "cut");
+    EXPECT_THAT(there.dropped, ElementsAre(ann));
+    EXPECT_THAT(home.left, IsEmpty()) << "the entity session connects again by itself";
+    core.onHomeUp(kRobotHome);
+    EXPECT_EQ(home.shown.size(), 2U);
+    const auto again = visit(kAnn, kAnnThere);
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::BUSY));
+    for (int i = 0; i < 12; ++i) {
+        core.onHeartbeat(again);
+        core.onHeartbeat(watch);
+        pass(25ms);
+    }
+    EXPECT_THAT(there.dropped, ElementsAre(ann, again));
+    EXPECT_THAT(home.renewed, ElementsAre(kRobotHome));
+}
+
+TEST_F(PartnerCoreTest, WhoOnlyAskedSomethingOnceLeavesAgain) {
+    proto::ToEntity message;
+    message.mutable_status_request()->set_request_id("1");
+    say(kBob, kMsgStatus, message);
+    const auto bob = there.opened.back().first;
+    core.onOpened(bob, {"bob-there", "b", Role::Operator}, {});
+    const auto ann = visit(kAnn, kAnnThere);
+    for (int i = 0; i < 32; ++i) {
+        for (const auto session : {watch, ann, bob}) core.onHeartbeat(session);
+        core.onHomeHeartbeat(kRobotHome);
+        pass(1s);
+    }
+    EXPECT_THAT(there.left, ElementsAre(bob));
+}
+
+TEST_F(PartnerCoreTest, AResetOfWhoHoldsNothingIsRefusedBySignal) {
+    Header head;
+    head.sender = kBob;
+    head.sequence = 12;
+    core.onCommandOfStranger(kRobotHome, head);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].lane, Lane::Signal);
+    EXPECT_EQ(home.sent[0].message.reply().request_id(), "bob-id:12");
+    EXPECT_EQ(home.sent[0].message.reply().refusal().code(), proto::NOT_HOLDER);
+}
+
+TEST_F(PartnerCoreTest, TheAccountOfAnAdministratorRearmsOnlyForTheHolder) {
+    const Sender admin{"ann-there", "lab-a@ann", Role::Admin};
+    const auto session = visit(kAnn, admin);
+    proto::ToEntity rearm;
+    rearm.mutable_rearm()->set_request_id("1");
+    say(kAnn, kMsgRearm, rearm, {3, 5}, 2);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].message.reply().refusal().code(), proto::NOT_HOLDER);
+    proto::ToClient granted;
+    granted.mutable_check_out()->mutable_lease()->set_epoch(3);
+    granted.mutable_check_out()->mutable_lease()->set_number(5);
+    fromThere(session, granted);
+    there.sent.clear();
+    say(kAnn, kMsgRearm, rearm, {3, 5}, 3);
+    EXPECT_EQ(there.sent.size(), 1U);
+    proto::ToClient ended;
+    ended.mutable_lease_ended();
+    fromThere(session, ended);
+    there.sent.clear();
+    say(kAnn, kMsgRearm, rearm, {3, 5}, 4);
+    EXPECT_THAT(there.sent, IsEmpty());
+}
+
+TEST_F(PartnerCoreTest, TheOrderlyEndReleasesWhatIsHeld) {
+    const auto ann = visit(kAnn, kAnnThere);
+    core.stop();
+    EXPECT_THAT(there.left, ElementsAre(ann, watch));
+    EXPECT_THAT(home.left, ElementsAre(kRobotHome));
+    core.onClosed(watch, "left");
+    pass(5s);
+    EXPECT_EQ(there.opened.size(), 2U);
+}
+
+}  // namespace
+}  // namespace axon::partner

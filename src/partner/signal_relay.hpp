@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <axon/status.pb.h>
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "client/base/lanes.hpp"
+#include "common/routed.hpp"
+
+namespace axon::partner {
+
+/// Passes stops, resets and clears on, at once: beside PartnerCore and its strand, with a lock of its own, so
+/// that a signal never waits for data, for a status or for a session to be opened.
+///
+/// Where in the flow: what a server at home says to an entity that is shown comes in by stop() and command(),
+/// on the threads of the signal lane; it leaves on the signal lane of a session there. A stop of a client
+/// that has a session there goes by that one, under its own number; any other goes by the session that
+/// watches, under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it
+/// for the same stop. translate() turns what a receipt there says into what it says at home.
+///
+/// Threads: any; no call waits, and nothing is sent while the lock is held. Bounds: kRemembered stops that
+/// went by the session that watches, and kRemembered sessions that have ended; the oldest go first, and a
+/// stop that is sent again after that is a new one.
+class SignalRelay {
+  public:
+    static constexpr std::size_t kRemembered = 4096;
+
+    struct Lanes {
+        std::shared_ptr<const client::StopLanes> stops;
+        std::shared_ptr<const client::DataLane> commands;  ///< which takes Reset and Clear
+    };
+
+    /// The session that watches is there; `me`: who it is. Stops that went by an earlier one are forgotten.
+    void watch(const Sender& me, Lanes lanes);
+    void unwatch();
+    /// The client of home is `there` in the partner's laboratory.
+    void visit(const Sender& client, const Sender& there, Lanes lanes);
+    /// Its session has ended. Receipts that name it are translated still.
+    void end(const std::string& client);
+    /// It had a session there, which has ended.
+    bool hasVisited(const std::string& client) const;
+
+    /// `entity`: UUID there. False: no session is there, and nothing was sent.
+    bool stop(const std::string& entity, const Header& head, StopCause cause);
+    /// Reset or Clear. False: this client has no session there, so it holds nothing.
+    bool command(client::Operation operation, const std::string& entity, const Header& head);
+
+    /// Who gave the signal that is called so there; nothing: nobody of this laboratory.
+    struct Origin {
+        Sender client;
+        std::int64_t sequence = 0;
+    };
+    std::optional<Origin> originOf(std::string_view signal_id) const;
+    /// Names the stop as it was given at home, and who gave it. Returns whoever did; nothing: nobody of home,
+    /// and the receipt is as it was.
+    std::optional<Sender> translate(proto::StopReceipt& receipt) const;
+
+  private:
+    struct Visitor {
+        Sender there;
+        Lanes lanes;
+    };
+    std::int64_t numberOf(const Header& head);  // under the lock
+
+    mutable std::mutex mutex_;
+    // Guarded by mutex_:
+    Lanes watch_;
+    Sender watcher_;
+    std::int64_t last_ = 0;  // number of a stop by the watching session
+    std::map<std::pair<std::string, std::int64_t>, std::int64_t>
+        given_;                                           // its number, by client and number at home
+    std::map<std::int64_t, Origin> origins_;              // by its number
+    std::map<std::string, Visitor> visitors_;             // by client at home
+    std::map<std::string, Sender, std::less<>> clients_;  // by id there
+    std::deque<std::string> ended_;                       // ids there, oldest first
+};
+
+}  // namespace axon::partner
