@@ -108,13 +108,13 @@ class PresenceTest(unittest.TestCase):
         self.assertEqual(status, 0, errors)
         self.basic.write_text(re.sub('descr="[^"]*"', 'descr="Edited."', self.basic.read_text()))
         wait_until(lambda: "kept, and uploaded at its release" in application.text(), "the application's log says that it is kept")
-        self.assertIn("kept for its release", manager.text())
+        wait_until(lambda: "kept for its release" in manager.text(), "the Entity Manager's log says so, too")
         self.assertNotEqual(self.listed()["Shuttle"]["descr"], "Edited.")
         status, _, errors = self.lab.axon("release", "Shuttle")
         self.assertEqual(status, 0, errors)
         wait_until(lambda: self.listed().get("Shuttle", {}).get("descr") == "Edited.", "the edited profile")
         wait_until(lambda: "uploaded now, at the release" in application.text(), "the application's log says that it is uploaded")
-        self.assertIn("uploaded now, at the release", manager.text())
+        wait_until(lambda: "uploaded now, at the release" in manager.text(), "the Entity Manager's log says so, too")
         self.lab.wait_for_entity("Shuttle")
 
     def test_a_server_that_is_not_there_is_reported_without_any_application(self):
