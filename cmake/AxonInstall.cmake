@@ -96,6 +96,8 @@ if(AXON_ICE)
   list(APPEND packages axon axon-server axon-entity-manager)
   axon_install_programs(axon axon)
   axon_install_programs(axon-server axon-server)
+  install(TARGETS axon_router_guard LIBRARY DESTINATION lib/axon COMPONENT axon-server) # where axon-cluster expects it
+  add_dependencies(installed_programs axon_router_guard)
   if(AXON_WEB)
     install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/console" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT axon-server)
     add_dependencies(installed_programs console)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-# find_package(Ice) with the C++11 mapping, and slice_generate_cpp(target HEADER_DIR dir FILES a.ice …).
-find_package(Ice 3.7 REQUIRED COMPONENTS Ice++11 Glacier2++11 IceSSL++11 IceStorm++11)
+# find_package(Ice) with the C++11 mapping (and Ice itself with the other one, for src/router_guard), and slice_generate_cpp(target HEADER_DIR dir FILES a.ice …).
+find_package(Ice 3.7 REQUIRED COMPONENTS Ice Ice++11 Glacier2++11 IceSSL++11 IceStorm++11)
 
 function(slice_generate_cpp target)
   cmake_parse_arguments(S "" "HEADER_DIR" "FILES" ${ARGN})

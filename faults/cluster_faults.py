@@ -1,21 +1,25 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Kills or freezes each program of a cluster while robots work, and tests the promises of docs/explanation/safety.md.
+"""Kills, freezes or cuts off each program of a cluster while robots work, and tests the promises of docs/explanation/safety.md.
 
     python3 faults/cluster_faults.py all --trials 20 --entities 4 --json FILE
-    python3 faults/cluster_faults.py kill-front-end lose-front-end --trials 5
+    python3 faults/cluster_faults.py kill-front-end lose-front-end --trials 50 --entities 64 --clients 32
 
-In a trial every robot runs a task of one client, and a program of the cluster is killed (kill -9) or frozen (SIGSTOP).
-Each robot must stop within the watchdog + 100 ms, unless its connection to the client does not go through that program; a
-drill shows that. What happens then is the kind's:
+In a trial every robot runs a task of its client, and a program of the cluster is killed (kill -9), frozen (SIGSTOP) or cut
+off. Each robot must stop within the watchdog + 100 ms, unless its connection to its client does not go through that
+program; a drill shows that. A robot that answers it, or whose connection certainly does not go through the program, must
+not stop at all. What happens then depends on the kind:
 
-    kill-…    the program is started again, and nothing else
-    lose-…    it stays away: another program of its kind takes over
-    freeze-…  as lose-…, or for a program of which there is one only, it goes on after 6 s
+    kill-…       the program is started again, and nothing else
+    lose-…       it stays away: another program of its kind takes over
+    freeze-…     as lose-…, or, where nothing can be used without it and it has no replacement, it goes on after 6 s
+    partition-…  as lose-…: the program has a machine of its own, whose cable is pulled
 
-Within 5 s the same client must hold and use every robot, the lists of all front-end servers that run must agree, and no
-other client may be able to check out what it holds. At last a program that was away comes back, and the lists of all
+Within 5 s the same clients must hold and use every robot, the lists of all front-end servers that run must agree, and no
+other client may be able to check out what they hold. At last a program that was away comes back, and the lists of all
 must agree again.
+The kinds of IceGrid's registry, of replicas of IceStorm and of partitions run on machines that are network namespaces,
+which need root; the others on one cluster without TLS. Each client is a process with the Python package of the build.
 Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
@@ -25,6 +29,7 @@ import math
 import os
 import pathlib
 import platform
+import queue
 import random
 import shutil
 import signal
@@ -32,39 +37,55 @@ import subprocess
 import sys
 import threading
 import time
+import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 sys.dont_write_bytecode = True
+import machines  # noqa: E402
 import processes  # noqa: E402
+from configuration import read_property  # noqa: E402
 from laboratory import Failed, Laboratory, sockets_of, wait_until  # noqa: E402
 
 STOP_MS = 250 + 100  # the longest watchdog of a hop while a task runs, and what is allowed on top
 PATIENCE_S = 3.0
 USABLE_S = 5.0
-REQUEST_S = 2  # so long a request of the client may take: it is tried again
+ANSWER_S = 20  # a client's answer, also while it looks for another router
 STALL_MS = 50
-LONG_S = 3600
+ENTITIES_MAX, CLIENTS_MAX = 64, 32
+PYTHON = "/usr/bin/python3"  # the build must have its package for this one, as it does unless AXON_PYTHON_PROGRAM names another
 FROZEN_S = 6.0  # longer than any time-out of a session
-HARMS = {"kill": "kills", "lose": "kills, and does not start again,", "freeze": "freezes"}
-Kind = collections.namedtuple("Kind", "victim harm promise")
-CLIENT_ROUTER, ENTITY_ROUTER, FRONT_END, ENTITY_SERVER = (
-    "a client router", "an entity router", "the client's front-end server", "an entity server")
+HARMS = {"kill": "kills", "lose": "kills, and does not start again,", "freeze": "freezes", "partition": "cuts off"}
+Kind = collections.namedtuple("Kind", "victim harm promise environment", defaults=("cluster",))
+CLIENT_ROUTER, ENTITY_ROUTER, FRONT_END, ENTITY_SERVER, ICESTORM, REPLICA, REGISTRY = (
+    "a client router", "an entity router", "a front-end server", "an entity server", "icestorm", "a replica of IceStorm", "icegridregistry")
+NAMES = {CLIENT_ROUTER: "client-router", ENTITY_ROUTER: "entity-router", FRONT_END: "fe", ENTITY_SERVER: "es", REPLICA: "icestorm"}
+SIGNALS_GO_ON = "signals go on without it: no robot stops"
 KINDS = {
-    "kill-icestorm": Kind("icestorm", "kill", "signals go on without it: no robot has to stop"),
+    "kill-icestorm": Kind(ICESTORM, "kill", SIGNALS_GO_ON),
     "kill-client-router": Kind(CLIENT_ROUTER, "kill", "its clients have lost every robot"),
     "kill-entity-router": Kind(ENTITY_ROUTER, "kill", "its Entity Managers have lost their server"),
-    "kill-front-end": Kind(FRONT_END, "kill", "the client has lost every robot"),
+    "kill-front-end": Kind(FRONT_END, "kill", "its clients have lost every robot"),
     "kill-entity-server": Kind(ENTITY_SERVER, "kill", "its entities have lost their server; the others go on"),
     "lose-client-router": Kind(CLIENT_ROUTER, "lose", "its clients go to the other one"),
     "lose-entity-router": Kind(ENTITY_ROUTER, "lose", "its Entity Managers go to the other one"),
-    "lose-front-end": Kind(FRONT_END, "lose", "another one takes the client, with its robots"),
+    "lose-front-end": Kind(FRONT_END, "lose", "another one takes its clients, with their robots"),
     "lose-entity-server": Kind(ENTITY_SERVER, "lose", "another one takes its entities"),
-    "freeze-icestorm": Kind("icestorm", "freeze", "signals go on without it: no robot has to stop"),
+    "freeze-icestorm": Kind(ICESTORM, "freeze", SIGNALS_GO_ON),
     "freeze-client-router": Kind(CLIENT_ROUTER, "freeze", "its clients go to the other one"),
     "freeze-entity-router": Kind(ENTITY_ROUTER, "freeze", "its Entity Managers go to the other one"),
-    "freeze-front-end": Kind(FRONT_END, "freeze", "another one takes the client, with its robots"),
+    "freeze-front-end": Kind(FRONT_END, "freeze", "another one takes its clients, with their robots"),
     "freeze-entity-server": Kind(ENTITY_SERVER, "freeze", "another one takes its entities"),
+    "kill-replica": Kind(REPLICA, "kill", SIGNALS_GO_ON, "machines"),
+    "freeze-replica": Kind(REPLICA, "freeze", SIGNALS_GO_ON, "machines"),
+    "kill-registry": Kind(REGISTRY, "kill", SIGNALS_GO_ON, "machines"),
+    "freeze-registry": Kind(REGISTRY, "freeze", SIGNALS_GO_ON, "machines"),
+    "partition-replica": Kind(REPLICA, "partition", SIGNALS_GO_ON, "machines"),
+    "partition-registry": Kind(REGISTRY, "partition", SIGNALS_GO_ON, "machines"),
+    "partition-client-router": Kind(CLIENT_ROUTER, "partition", "its clients go to the other one", "machines"),
+    "partition-entity-router": Kind(ENTITY_ROUTER, "partition", "its Entity Managers go to the other one", "machines"),
+    "partition-front-end": Kind(FRONT_END, "partition", "another one takes its clients, with their robots", "machines"),
+    "partition-entity-server": Kind(ENTITY_SERVER, "partition", "another one takes its entities", "machines"),
 }
 
 
@@ -113,7 +134,6 @@ class Robot:
         threading.Thread(target=self.listen, daemon=True).start()
         lab.ports = f"{low}-{low + 3}"
         self.manager = lab.start_manager("", "--state", folder / "state")
-        self.task = None
 
     def listen(self):
         for line in self.application.stdout:
@@ -127,12 +147,66 @@ class Robot:
         self.application.wait()
 
 
+class Client:
+    """A process of cluster_client.py. Threads: any."""
+
+    def __init__(self, name, lab, python):
+        env = {**lab.env, "PYTHONPATH": str(python), "PYTHONDONTWRITEBYTECODE": "1"}
+        words = [PYTHON, ROOT / "faults" / "cluster_client.py", name, lab.server.status["client_config"]]
+        self.name = name
+        with open(lab.folder / f"{name}.log", "wb") as log:
+            self.child = subprocess.Popen(words, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True)
+        self.lock = threading.Lock()
+        self.asked = 0
+        self.waiting = {0: queue.Queue()}  # {number of a request: its answer}
+        self.ready = self.waiting[0]
+        threading.Thread(target=self.listen, daemon=True).start()
+
+    def listen(self):
+        for line in self.child.stdout:
+            said = json.loads(line)
+            with self.lock:
+                place = self.waiting.pop(said["id"])
+            place.put((said["code"], said["refused"]))
+
+    def wait_until_ready(self):
+        try:
+            self.ready.get(timeout=ANSWER_S)
+        except queue.Empty:
+            raise Failed(f"{self.name} got no session within {ANSWER_S} s; see its log") from None
+
+    def tries(self, what, robot):
+        """(name of the refusal's code, what was refused and why); two empty texts if it was done. Raises Failed if it has ended."""
+        place = queue.Queue()
+        with self.lock:
+            self.asked += 1
+            self.waiting[self.asked] = place
+            try:
+                self.child.stdin.write(json.dumps({"id": self.asked, "do": what, "robot": robot}) + "\n")
+                self.child.stdin.flush()
+            except OSError as error:
+                raise Failed(f"{self.name} has ended; see its log: {error}") from error
+        try:
+            return place.get(timeout=ANSWER_S)
+        except queue.Empty:
+            return "TIMED_OUT", f"{what}: no answer within {ANSWER_S} s"
+
+    def does(self, what, robot):
+        """What was refused, or an empty text."""
+        return self.tries(what, robot)[1]
+
+    def end(self):
+        self.child.kill()
+        self.child.wait()
+
+
 class Report:
     def __init__(self, kind):
         self.kind = kind
         self.trials = 0
         self.stops_ms, self.never, self.late, self.late_beside_stall = [], 0, 0, 0
         self.kept, self.causes, self.usable_s, self.agree_s, self.violations = 0, {}, [], [], []
+        self.spared, self.disturbed_beside_stall = 0, 0
 
     def violation(self, sentence):
         self.violations.append(f"trial {self.trials + 1}: {sentence}")
@@ -153,6 +227,7 @@ class Report:
         return {"kind": self.kind, "trials": self.trials, "stop_ms": finite(self.series(self.stops_ms, self.never)),
                 "stop_samples_ms": [round(ms, 3) for ms in self.stops_ms], "late": self.late,
                 "late_beside_stall": self.late_beside_stall, "never": self.never, "kept_their_chain": self.kept,
+                "spared": self.spared, "disturbed_beside_stall": self.disturbed_beside_stall,
                 "causes": self.causes, "usable_s": finite(self.series(self.usable_s)),
                 "lists_agree_s": finite(self.series(self.agree_s)), "violations": self.violations}
 
@@ -161,6 +236,7 @@ class Report:
             return "  ".join(f"{key} {value}" for key, value in series.items())
         told = self.as_dict()
         lines = [f"{self.kind}: {self.trials} trials", f"  stops: {line(told['stop_ms'])} ms; kept their chain: {self.kept}",
+                 f"  had nothing to do with it: {self.spared}, of whom {self.disturbed_beside_stall} stopped just after the host stood still",
                  f"  usable again after: {line(told['usable_s'])} s; lists agree: {line(told['lists_agree_s'])} s",
                  f"  causes: {', '.join(f'{cause} {n}' for cause, n in self.causes.items()) or 'none'}"]
         lines += [f"  broken: {sentence}" for sentence in self.violations]
@@ -168,125 +244,155 @@ class Report:
 
 
 class Run:
-    def __init__(self, options):
+    """The trials of one environment: a cluster or machines, its robots and its clients."""
+
+    def __init__(self, options, environment):
         self.options = options
         self.random = random.Random(options.seed)
         self.probe = HostProbe()
-        self.lab = Laboratory(options.bin, application="Greeter", environment="cluster")
-        self.robots, self.other = [], None
+        routers, servers = options.routers, {"fe": options.front_ends, "es": options.entity_servers}
+        self.lab = Laboratory(options.bin, application="Greeter", environment=environment, layout=machines.one_for_each(
+            "icegridregistry", *(f"icestorm{n}" for n in (1, 2, 3)),
+            *(f"{kind}{n}" for kind, most in servers.items() for n in range(1, most + 1)),
+            *(f"{whom}-router{n if n > 1 else ''}" for whom in ("client", "entity") for n in range(1, routers + 1))))
+        self.robots, self.clients, self.other = [], [], None
 
     def start(self):
         self.lab.start_cluster(shape=("--base-port", 0, "--front-ends", self.options.front_ends,
                                       "--entity-servers", self.options.entity_servers, "--routers", self.options.routers))
         self.robots = [Robot(self.lab, number) for number in range(1, self.options.entities + 1)]
         self.names = [robot.name for robot in self.robots]
-        other = self.lab.folder / "other"
-        other.mkdir(mode=0o700)
-        self.other = dict(self.lab.env, XDG_RUNTIME_DIR=str(other))
-        client = pathlib.Path(self.lab.server.status["client_config"]).read_text()
-        password = next(line.split("=", 1)[1] for line in client.splitlines() if line.startswith("Axon.Password="))
-        self.direct = {name: value for name, value in self.other.items() if name != "AXON_CONFIG"}
-        self.direct.update(AXON_USER="admin", AXON_PASSWORD=password)
-        wait_until(lambda: len(self.lab.entities()) == len(self.robots), "all robots are there", 30)
+        python = self.options.bin.resolve().parent / "python"
+        self.clients = [Client(f"client-{number}", self.lab, python) for number in range(1, self.options.clients + 1)]
+        self.other = Client("other", self.lab, python)
+        for client in (*self.clients, self.other):
+            client.wait_until_ready()
+        for number, robot in enumerate(self.robots):
+            robot.client = self.clients[number % len(self.clients)]
+        # As "axon --server" wants it: past the routers, to a server of one's choice.
+        text = pathlib.Path(self.lab.server.status["client_config"]).read_text()
+        past = self.lab.folder / "past_the_routers.cfg"
+        past.touch(0o600)
+        past.write_text("".join(line for line in text.splitlines(True) if not line.startswith("Ice.Default.Router")))
+        self.past_the_routers = dict(self.lab.env, AXON_CONFIG=str(past))
+        self.tls = read_property(text, "IceSSL.DefaultDir") is not None
+        wait_until(lambda: len(self.lab.entities()) == len(self.robots), "all robots are there", 60)
 
     def end(self):
-        if self.other:
-            subprocess.run([self.lab.bin / "axon", "agent", "stop"], env=self.other, stdout=subprocess.DEVNULL,
-                           stderr=subprocess.DEVNULL, timeout=20, check=False)
+        for client in filter(None, (*self.clients, self.other)):
+            client.end()
         self.lab.end()
         for robot in self.robots:
             robot.end()
 
-    def for_each(self, does):
+    @staticmethod
+    def for_each(robots, does):
         """`does(robot)` for all at once; what they returned."""
-        results = [None] * len(self.robots)
+        results = [None] * len(robots)
 
         def one(index):
             try:
-                results[index] = does(self.robots[index])
-            except (Failed, subprocess.SubprocessError) as error:
+                results[index] = does(robots[index])
+            except Failed as error:
                 results[index] = error
-        threads = [threading.Thread(target=one, args=(index,)) for index in range(len(self.robots))]
+        threads = [threading.Thread(target=one, args=(index,)) for index in range(len(robots))]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
+        for result in results:
+            if isinstance(result, Exception):
+                raise result
         return results
 
-    def hold(self, robot):
-        """The client has it and it takes tasks: (exit status, what was said) of the first thing that fails."""
-        for words in (("checkout", robot.name), ("rearm", robot.name)):
-            status, lines, errors = self.lab.axon("--timeout", str(REQUEST_S), *words)
-            if status != 0:
-                return f"{' '.join(words)}: {lines[-1:]} {errors.strip()}"
-        return ""
-
     def prepare(self):
-        """Every robot is held by the client and busy."""
+        """Every robot is held by its client and busy; who holds which, {name: "server:client"}."""
         def busy(robot):
-            wait_until(lambda: not self.hold(robot), f"{robot.name} is held", 20)
-            robot.task = self.lab.axon_in_background(robot.name, "run", robot.name, "Wait", f"Seconds={LONG_S}")
-        for problem in self.for_each(busy):
-            if problem:
-                raise problem
-        wait_until(lambda: all(entity["state"] == "BUSY" for entity in self.lab.entities()), "every robot is busy", 20)
+            wait_until(lambda: not robot.client.does("work", robot.name), f"{robot.name} is held by {robot.client.name} and works", 30)
+        self.for_each(self.robots, busy)
+
+        def holders():
+            busy = {entity["name"]: entity["holder_id"] for entity in self.lab.entities() if entity["state"] == "BUSY"}
+            return len(busy) == len(self.robots) and busy
+        return wait_until(holders, "every robot is busy", 20)
 
     def candidates(self, kind):
         """The programs of the kind."""
-        beginning = {CLIENT_ROUTER: "client-router", ENTITY_ROUTER: "entity-router", FRONT_END: "fe", ENTITY_SERVER: "es"}
-        return self.lab.server.names(beginning.get(kind.victim, kind.victim))
+        return self.lab.server.names(NAMES.get(kind.victim, kind.victim))
 
-    def who_must_stop(self, kind, victim):
-        """The names of the robots whose connection to the client certainly goes through that program."""
+    def affected(self, kind, victim, holders):
+        """The names of the robots whose connection to their client goes through that program; None where that is not known."""
         port = next((int(at.rpartition(":")[2]) for program in self.lab.server.status["programs"] if program["name"] == victim
                      for what, at in program["ports"].items() if what in ("clients", "entities")), None)
         if kind.victim == CLIENT_ROUTER:
-            _, lines, _ = self.lab.axon("agent", "status")
-            return set(self.names) if is_connected(next(line["pid"] for line in lines if "pid" in line), port) else set()
+            through = {client for client in self.clients if is_connected(client.child.pid, port)}
+            return {robot.name for robot in self.robots if robot.client in through}
         if kind.victim == ENTITY_ROUTER:
             return {robot.name for robot in self.robots if is_connected(robot.manager.child.pid, port)}
-        return set(self.names) if kind.victim == FRONT_END else set()
+        if kind.victim == FRONT_END:
+            return {name for name, holder in holders.items() if holder.split(":")[0] == victim}
+        return None if kind.victim == ENTITY_SERVER else set()
 
     def trial(self, kind, report):
-        self.prepare()
+        holders = self.prepare()
         candidates = self.candidates(kind)
         replaceable = len(candidates) > 1
-        victim = self.lab.entities()[0]["holder_id"].split(":")[0] if kind.victim == FRONT_END else self.random.choice(candidates)
-        must = self.who_must_stop(kind, victim)
-        record = json.loads((self.lab.server.folder / "running.json").read_text())[victim]
+        victim = self.random.choice(candidates)
+        affected = self.affected(kind, victim, holders)
+        must, spared = (set(), set()) if affected is None else (affected, set(self.names) - affected)
+        server = self.lab.server
+        record = server.record(victim)
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
         begin = time.monotonic()
-        if kind.harm == "freeze":
+        if kind.harm == "partition":
+            server.machine(victim).pull_cable()  # within some milliseconds, by a command
+        elif kind.harm == "freeze":
             processes.strike(record, signal.SIGSTOP, 0)
         else:
             processes.strike(record, signal.SIGKILL, 5.0)
+        not_needed = kind.victim in (REGISTRY, REPLICA)  # everything can be used without it
         try:
-            self.judge_stops(victim, begin, must, report)
+            spared |= self.judge_stops(victim, begin, must, report)
             if kind.harm == "kill":
                 back = time.monotonic()
-                self.lab.server.do("restart", victim)
+                server.start_again(victim)
                 self.judge_recovery(victim, back, "came back", (), report)
-            elif replaceable:
-                self.judge_recovery(victim, begin, "was lost" if kind.harm == "lose" else "froze", (victim,), report)
+            elif replaceable or not_needed or kind.harm != "freeze":
+                self.judge_recovery(victim, begin, {"lose": "was lost", "freeze": "froze", "partition": "was cut off"}[kind.harm], (victim,), report)
             else:
                 time.sleep(max(0.0, begin + FROZEN_S - time.monotonic()))
         finally:
             back = time.monotonic()
             if kind.harm == "freeze":
                 processes.strike(record, signal.SIGCONT, 0)
+            elif kind.harm == "partition":
+                server.machine(victim).plug_cable()
         if kind.harm == "lose":
-            self.lab.server.do("restart", victim)
-        if kind.harm == "freeze" and not replaceable:
+            server.start_again(victim)
+        if kind.harm == "freeze" and not replaceable and not not_needed:
             self.judge_recovery(victim, back, "went on", (), report)
         elif kind.harm != "kill":
             self.judge_lists(victim, back, "came back", (), report)
             self.judge_holder(report)
+        self.judge_others(victim, begin, spared, report)
+        if kind.environment == "machines":
+            server.up()  # two replicas away at once would be another trial
         report.trials += 1
+
+    def judge_others(self, victim, begin, spared, report):
+        """Robots that had nothing to do with it were not disturbed, not even when the others came back."""
+        report.spared += len(spared)
         for robot in self.robots:
-            robot.task.end()
-        return victim
+            stop = robot.first_stop(begin) if robot.name in spared else None
+            if not stop:
+                continue
+            if self.probe.overlap_ms(stop[0] - STOP_MS / 1000, stop[0]) > STALL_MS:
+                report.disturbed_beside_stall += 1
+            else:
+                report.violation(f"{robot.name} stopped ({stop[1]}) {(stop[0] - begin) * 1000:.0f} ms after {victim} was harmed, which had nothing to do with it")
 
     def judge_stops(self, victim, begin, must, report):
+        """Returns the names of those that have not stopped and whose client still reaches them."""
         def wait_for(names, until):
             while not all(robot.first_stop(begin) for robot in self.robots if robot.name in names) and time.monotonic() < until:
                 time.sleep(0.002)
@@ -307,17 +413,14 @@ class Run:
             elif robot.name in must:
                 report.never += 1
                 report.violation(f"{robot.name} did not stop after {victim} was harmed")
-        going = [robot.name for robot in self.robots if robot.name not in must and not robot.first_stop(begin)]
-        if not going:
-            return
-        status, lines, errors = self.lab.axon("drill", *going, "--count", "1", env=self.other)
-        reached = {line["entity"] for line in lines if line.get("event") == "drill" and line["callback"]["never_arrived"] == 0}
-        for name in going:
-            if name in reached:
+        going = [robot for robot in self.robots if robot.name not in must and not robot.first_stop(begin)]
+        for robot, refused in zip(going, self.for_each(going, lambda robot: robot.client.does("drill", robot.name))):
+            if not refused:
                 report.kept += 1
             else:
                 report.never += 1
-                report.violation(f"{name} went on without a chain after {victim} was harmed: {status} {lines} {errors.strip()}")
+                report.violation(f"{robot.name} went on without a chain after {victim} was harmed: {refused}")
+        return {robot.name for robot in going}
 
     def judge_recovery(self, victim, since, how, without, report):
         """`since`: when the time begins in which everything must be usable; `without`: the programs that are not there."""
@@ -326,23 +429,15 @@ class Run:
         def usable(robot):
             said[robot.name] = "nothing was tried"
             while time.monotonic() < limit + PATIENCE_S:
-                refused = self.hold(robot)
+                refused = robot.client.does("use", robot.name)
                 if not refused:
-                    status, lines, errors = self.lab.axon("run", robot.name, "Wait", "Seconds=0.01")
-                    if status == 0:
-                        return time.monotonic()
-                    refused = f"run: {lines[-1:]} {errors.strip()}"
+                    return time.monotonic()
                 said[robot.name] = refused
                 time.sleep(0.05)
             return None
 
-        for robot in self.robots:  # what still runs would be in the way of the short task
-            if robot.task.child.poll() is None:
-                self.lab.axon("cancel", robot.name)
-        ends = self.for_each(usable)
+        ends = self.for_each(self.robots, usable)
         for robot, end in zip(self.robots, ends):
-            if isinstance(end, Exception):
-                raise end
             if end is None or end > limit:
                 when = "is not usable" if end is None else f"was usable only {end - since:.1f} s"
                 report.violation(f"{robot.name} {when} after {victim} {how}: {said[robot.name]}")
@@ -353,11 +448,19 @@ class Run:
         self.judge_holder(report)
 
     def judge_holder(self, report):
-        for name in self.names:
-            status, lines, _ = self.lab.axon("checkout", name, env=self.other)
-            if status == 0:
-                report.violation(f"{name} was given to a second client: {lines[-1:]}")
-                self.lab.axon("release", name, env=self.other)
+        """Another client, which may have to look for another router first, is refused each robot because it is held."""
+        limit = time.monotonic() + USABLE_S + PATIENCE_S
+
+        def take(robot):
+            while True:
+                code, refused = self.other.tries("take", robot.name)
+                if code in ("", "ALREADY_HELD") or time.monotonic() > limit:
+                    return code, refused
+                time.sleep(0.05)
+
+        for robot, (code, refused) in zip(self.robots, self.for_each(self.robots, take)):
+            if code != "ALREADY_HELD":
+                report.violation(f"{robot.name} was not refused to a second client because it is held: {refused or 'it was given'}")
 
     def judge_lists(self, victim, since, how, without, report):
         """What each front-end server says that there is and who holds it, asked directly."""
@@ -365,7 +468,8 @@ class Run:
                       if program["name"].startswith("fe") and program["name"] not in without]
 
         def listed(front_end):
-            _, lines, _ = self.lab.axon("--server", front_end["ports"]["data"], "ls", env=self.direct)
+            address = f"{'ssl://' if self.tls else ''}{front_end['ports']['data']}"
+            _, lines, _ = self.lab.axon("--server", address, "ls", env=self.past_the_routers)
             return {entity["id"]: (entity["name"], entity["holder_id"]) for line in lines for entity in line.get("entities", ())}
 
         while True:
@@ -379,13 +483,42 @@ class Run:
             time.sleep(0.05)
 
 
+def run_kinds(options, environment, kinds, reports):
+    """Adds a report for each kind; how often the host stood still."""
+    run = Run(options, environment)
+    before = len(reports)
+    try:
+        run.start()
+        for kind in kinds:
+            reports.append(Report(kind))
+            for number in range(options.trials):
+                if sys.stderr.isatty():
+                    print(f"\r\033[K{kind}: {number} of {options.trials}", end="", file=sys.stderr, flush=True)
+                run.trial(KINDS[kind], reports[-1])
+            if sys.stderr.isatty():
+                print("\r\033[K", end="", file=sys.stderr)
+            print(reports[-1].text(), flush=True)
+    except (Failed, subprocess.SubprocessError) as error:
+        print(f"cluster_faults: {error}", file=sys.stderr)
+        reports.append(Report("could not go on"))
+        reports[-1].violation(str(error))
+    finally:
+        run.end()
+    if any(report.violations for report in reports[before:]):
+        print(f"logs: {run.lab.folder}", file=sys.stderr)
+    else:
+        shutil.rmtree(run.lab.folder, ignore_errors=True)
+    return len(run.probe.stalls)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", default=["all"], metavar="KIND",
                         help=f"{', '.join(KINDS)}; all = each of them (the default)")
     parser.add_argument("--list", action="store_true", help="list every kind, and end")
     parser.add_argument("--trials", type=int, default=20, help="number of trials of each kind (%(default)s)")
-    parser.add_argument("--entities", type=int, default=4, help="robots, 1 to 16 (%(default)s)")
+    parser.add_argument("--entities", type=int, default=4, help=f"robots, 1 to {ENTITIES_MAX} (%(default)s)")
+    parser.add_argument("--clients", type=int, default=2, help=f"clients among which they are divided, 1 to {CLIENTS_MAX} (%(default)s)")
     parser.add_argument("--front-ends", type=int, default=2)
     parser.add_argument("--entity-servers", type=int, default=2)
     parser.add_argument("--routers", type=int, default=2, help="for clients, and as many for Entity Managers")
@@ -407,38 +540,26 @@ def main():
         option, number = several.get(KINDS[name].victim, ("", 0))
         if KINDS[name].harm == "lose" and number < 2:
             parser.error(f"{name}: another program is to take over; expected {option} 2 or more")
-    if not 1 <= options.entities <= 16 or options.trials < 1:
-        parser.error("expected --entities 1 to 16 and at least one trial")
-    reports = []
-    run = Run(options)
+    if not (1 <= options.entities <= ENTITIES_MAX and 1 <= options.clients <= CLIENTS_MAX) or options.trials < 1:
+        parser.error(f"expected --entities 1 to {ENTITIES_MAX}, --clients 1 to {CLIENTS_MAX} and at least one trial")
+    if not (python := options.bin.resolve().parent / "python" / "axon").exists():
+        parser.error(f"{python} does not exist; fix: build with AXON_PYTHON=ON")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    try:
-        run.start()
-        for kind in kinds:
-            reports.append(Report(kind))
-            for number in range(options.trials):
-                if sys.stderr.isatty():
-                    print(f"\r\033[K{kind}: {number} of {options.trials}", end="", file=sys.stderr, flush=True)
-                run.trial(KINDS[kind], reports[-1])
-            if sys.stderr.isatty():
-                print("\r\033[K", end="", file=sys.stderr)
-            print(reports[-1].text(), flush=True)
-    except Failed as error:
-        print(f"cluster_faults: {error}", file=sys.stderr)
-        reports.append(Report("could not go on"))
-        reports[-1].violation(str(error))
-    finally:
-        run.end()
+    if any(KINDS[kind].environment == "machines" for kind in kinds):
+        try:
+            machines.enter()
+        except unittest.SkipTest as error:
+            parser.exit(2, f"cluster_faults: {error}\n")
+    reports, stalls = [], 0
+    for environment in ("cluster", "machines"):
+        if chosen := [kind for kind in kinds if KINDS[kind].environment == environment]:
+            stalls += run_kinds(options, environment, chosen, reports)
     broken = any(report.violations for report in reports)
-    if broken:
-        print(f"logs: {run.lab.folder}", file=sys.stderr)
-    else:
-        shutil.rmtree(run.lab.folder, ignore_errors=True)
     if options.json:
         options.json.write_text(json.dumps({
             "machine": {"system": platform.platform(), "cores": os.cpu_count()}, "seed": options.seed,
-            "entities": options.entities, "front_ends": options.front_ends, "entity_servers": options.entity_servers, "routers": options.routers,
-            "host_stalls": len(run.probe.stalls), "results": [report.as_dict() for report in reports]}, indent=1) + "\n")
+            "entities": options.entities, "clients": options.clients, "front_ends": options.front_ends, "entity_servers": options.entity_servers, "routers": options.routers,
+            "host_stalls": stalls, "results": [report.as_dict() for report in reports]}, indent=1) + "\n")
     return 1 if broken else 0
 
 

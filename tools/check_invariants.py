@@ -39,6 +39,7 @@ ICE_ALLOWED = (
     "src/entity_manager/links/direct/direct_door.*",
     "src/entity_manager/main.cpp",
     "src/server/*",
+    "src/router_guard/*",
     "bench/*",
     "faults/raw_client.*",
     "faults/raw_paths.*",

@@ -168,6 +168,14 @@ class Cluster:
         """Of the programs whose names begin so: fe, es, icestorm, …"""
         return [program["name"] for program in self.status["programs"] if program["name"].startswith(kinds)]
 
+    def record(self, name):
+        """Of the process of that program, for processes.strike() of deploy/cluster."""
+        return json.loads((self.folder / "running.json").read_text())[name]
+
+    def start_again(self, name):
+        """A program that was killed."""
+        self.do("restart", name)
+
     def kill(self):
         """kill -9 of every server."""
         for name in self.names("fe", "es"):
@@ -185,19 +193,24 @@ class Laboratory:
     """A server and any number of entities on loopback, on ports of their own, in a folder of its own.
 
     In the environment "cluster" (AXON_ENVIRONMENT) the server is a whole `axon-cluster`, with the options of `up` that
-    AXON_CLUSTER names (such as "--grid --tls"); clients and Entity Managers are told its routers, and nothing else is different for
-    who uses this class.
+    AXON_CLUSTER names (such as "--grid --tls"); in the environment "machines" it is spread over machines (machines.py; `layout`
+    says how). Clients and Entity Managers are told its routers, and nothing else is different for who uses this class.
 
     With a `speed` the virtual laboratory goes that many times faster, and everything that is started here takes the
     laboratory's time as its own (AXON_CLOCK): start_world() or start_robot() then comes first, once.
     """
 
-    def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None, speed=None):
+    def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None, speed=None, layout=None):
         self.speed = speed
         self.world = None
         self.environment = environment or os.environ.get("AXON_ENVIRONMENT") or "embedded"
-        if self.environment not in ("embedded", "cluster"):
-            raise Failed(f"AXON_ENVIRONMENT={self.environment}: expected embedded or cluster")
+        if self.environment not in ("embedded", "cluster", "machines"):
+            raise Failed(f"AXON_ENVIRONMENT={self.environment}: expected embedded, cluster or machines")
+        self.behind_routers = self.environment != "embedded"
+        if self.environment == "machines":
+            import machines  # which needs this module
+            machines.enter()
+            self.layout = layout or machines.THREE
         self.server = None
         self.bin = pathlib.Path(programs).resolve()
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix="axon-"))
@@ -209,7 +222,7 @@ class Laboratory:
         self.processes = []
         # A profile that lies there before the server starts is offered from the beginning. The server looks for later
         # ones once a second.
-        self.services_folder = self.folder / ("cluster" if self.environment == "cluster" else ".") / "globalservices"
+        self.services_folder = self.folder / ("cluster" if self.behind_routers else ".") / "globalservices"
         self.services_folder.mkdir(mode=0o700, parents=True)
 
     def start(self, name, program, *options, env=None):
@@ -221,7 +234,7 @@ class Laboratory:
         """On free ports, or on those of an earlier start (a dict as addresses() returns); `more` options of axon-server."""
         if self.speed and not self.world:
             raise Failed("the server lives in the laboratory's time: start_world() or start_robot() comes first")
-        if self.environment == "cluster":
+        if self.behind_routers:
             return self.start_cluster(*more)
         at = fixed_ports or {}
         options = list(more)
@@ -236,6 +249,9 @@ class Laboratory:
 
     def start_cluster(self, *more, shape=None):
         """Starts what does not run of it; of axon-server's options it understands --users FILE."""
+        if self.environment == "machines":
+            import machines
+            self.server = self.server or machines.Machines(self, self.layout)
         shape = shape or ("--base-port", 0, *os.environ.get("AXON_CLUSTER", "").split())
         self.server = self.server or Cluster(self, shape)
         users = self.server.folder / "users.cfg"
@@ -253,7 +269,7 @@ class Laboratory:
 
     def manager_options(self, options):
         """Where the server is, and what the test adds. A cluster tells it by a file, which holds the test's lines too."""
-        if self.environment != "cluster":
+        if not self.behind_routers:
             return ["--server", self.at["entity"], *options]
         options = list(options)
         lines = pathlib.Path(self.server.status["entity_config"]).read_text()
@@ -385,5 +401,5 @@ class Laboratory:
                            stderr=subprocess.DEVNULL, timeout=20, check=False)
         for process in reversed(self.processes):
             process.end()
-        if self.environment == "cluster" and self.server:
+        if self.behind_routers and self.server:
             self.server.end()

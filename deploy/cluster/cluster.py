@@ -238,6 +238,10 @@ class Cluster:
             if not (self.axon_programs / name).exists():
                 raise Misconfigured(f"{self.axon_programs / name} does not exist; expected it beside axon-cluster; fix: "
                                     "name its folder with --programs")
+        guard = configuration.Place("", self.axon_programs, "").guard()[1]
+        if not guard.exists():
+            raise Misconfigured(f"{guard} does not exist, the plug-in of routers that comes with axon-server; fix: install "
+                                "that package again, or build the target axon_router_guard")
 
     def write_files(self, plan, generated, fields):
         passwords = {user: self.told(file, "Axon.Password") for user, file in USER_FILES.items()}
@@ -248,7 +252,7 @@ class Cluster:
         for user in unlisted:
             passwords[user] = passwords[user] or secrets.token_urlsafe(18)
         wanted = configuration.files(plan, passwords, configuration.Place(
-            descriptor(), self.axon_programs, pwd.getpwuid(os.geteuid()).pw_name) if plan.grid else None)
+            descriptor(), self.axon_programs, pwd.getpwuid(os.geteuid()).pw_name))
         kept = {}
         for name, text in wanted.items():
             file = self.folder / name

@@ -431,7 +431,11 @@ class Folder(unittest.TestCase):
     def setUp(self):
         temporary = tempfile.TemporaryDirectory()
         self.addCleanup(temporary.cleanup)
-        self.root = pathlib.Path(temporary.name)
+        self.root = pathlib.Path(temporary.name) / "bin"
+        self.guard = self.root.parent / "lib" / "axon" / "libaxonrouterguard.so.37"
+        for folder in (self.root, self.guard.parent):
+            folder.mkdir(parents=True)
+        self.guard.touch()
         self.folder = self.root / "cluster"
         self.script("axon-server", 'umask 077; read -r password; echo "$4 $6 $password" >> "$2"')
         self.script("axon", "exit 0")
@@ -539,6 +543,17 @@ class Folder(unittest.TestCase):
             code, said = self.run_command("up", "--grid")
         self.assertEqual(code, 2, said)
         self.assertIn("zeroc-icegrid zeroc-ice-utils", said)
+
+    def test_routers_get_the_plug_in_that_lies_beside_the_programs(self):
+        self.cluster.prepare({"base_port": 0})
+        for router in ("glacier2clients.cfg", "glacier2entities.cfg"):
+            self.assertEqual(self.cluster.told(router, "Ice.Plugin.AxonRouterGuard"),
+                             f'"{self.guard.parent}/axonrouterguard:createAxonRouterGuard"')
+        self.guard.unlink()
+        code, said = self.run_command("up")
+        self.assertEqual(code, 2, said)
+        self.assertIn(f"{self.guard} does not exist", said)
+        self.assertIn("install that package again", said)
 
     def grid(self):
         """A folder for IceGrid, whose programs are scripts that do nothing."""

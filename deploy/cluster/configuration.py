@@ -16,6 +16,7 @@ LOOPBACK = "127.0.0.1"
 ADMIN, ENTITY = "admin", "entity"
 STORM_REPLICAS = 3  # as few as have a majority without one of them
 NODE = "node1"  # of IceGrid, where there is one
+GUARD = "axonrouterguard"
 REGISTRY_PORTS = ("locator", "servers", "nodes")
 
 
@@ -189,10 +190,15 @@ def public(plan, program, which):
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where a node of IceGrid starts programs, and whose processes they are."""
+    """Where the programs are, and for IceGrid, how it starts them and whose processes they are."""
     descriptor: str  # the text of axon.xml
     programs: pathlib.Path  # the folder of axon-server
     user: str
+
+    def guard(self):
+        """The plug-in of routers, as Ice wants it named, and its file."""
+        folder = self.programs.parent / "lib" / "axon"
+        return folder / GUARD, folder / f"lib{GUARD}.so.37"
 
     def variables(self, plan):
         return {"folder": str(plan.folder), "programs": str(self.programs), "user": self.user}
@@ -202,11 +208,14 @@ class Place:
             raise Misconfigured(f"--programs '{self.programs}': with --grid, expected a path without blanks; fix: name another folder")
 
 
-def files(plan, passwords, place=None):
-    """{file name: text}. `passwords`: {user: password} of the admin and of the entities. `place`: for IceGrid."""
-    result = {**{router_file(name): glacier2(plan, name, "Axon.Clients", "clients", plan.front_end_names())
+INSTALLED = Place("", pathlib.Path("/usr/bin"), "axon")
+
+
+def files(plan, passwords, place=INSTALLED):
+    """{file name: text}. `passwords`: {user: password} of the admin and of the entities."""
+    result = {**{router_file(name): glacier2(plan, name, "Axon.Clients", "clients", plan.front_end_names(), place)
                  for name in plan.router_names("client")},
-              **{router_file(name): glacier2(plan, name, "Axon.Entities", "entities", plan.entity_server_names())
+              **{router_file(name): glacier2(plan, name, "Axon.Entities", "entities", plan.entity_server_names(), place)
                  for name in plan.router_names("entity")},
               "client.cfg": client(plan, passwords[ADMIN]),
               "entitygl2client.cfg": entity_manager(plan, passwords[ENTITY])}
@@ -292,7 +301,7 @@ TRIED_MS, SILENT_S = 300, 4  # of a router
 MESSAGE_SIZE_MAX = 4096  # src/transport/ice/communicator.hpp
 
 
-def glacier2(plan, name, instance, whom, servers):
+def glacier2(plan, name, instance, whom, servers, place):
     def proxies(identity):
         return f"{identity}:" + ":".join(f"{inner(plan, server_name, 'router')} -t {TRIED_MS}" for server_name in servers)
     server_kind = "front-end" if whom == "clients" else "entity"
@@ -339,6 +348,9 @@ Ice.ThreadPool.Server.Serialize=1
 Ice.ACM.Client.Timeout=1
 Ice.ACM.Client.Close=2
 Ice.ACM.Client.Heartbeat=0
+# The same, also while log-ins are sent to it, which for Ice are signs of life: the plug-in asks each server four times a
+# second, and closes the connection if there is no answer within a second.
+Ice.Plugin.AxonRouterGuard="{place.guard()[0]}:createAxonRouterGuard"
 # Tries to reach a server, in milliseconds after one that failed:
 Ice.RetryIntervals=0 200 500
 Ice.Warn.Connections=0

@@ -51,8 +51,9 @@ constexpr const char* kServices = R"(<?xml version="1.0"?>
   </Service>
 </ServiceProfile>)";
 
-/// For what comes sooner or later: an entity that has left its server is lost after its grace of 5 s.
-constexpr auto kPatience = 30s;
+/// For what comes sooner or later: an entity that has left its server is lost after its grace of 5 s, and
+/// some tests send ten thousand messages.
+constexpr auto kPatience = 60s;
 
 /// A robot with its Entity Manager. The application grants everything but a Speed above 700, and runs a task
 /// until it is told to end it.
@@ -868,7 +869,7 @@ TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritte
             }
             return burst == 500;
         }));
-        EXPECT_TRUE(waitUntil([&] { return robots->texts().size() >= accepted.size(); }));
+        EXPECT_TRUE(waitUntil([&] { return robots->texts().size() >= accepted.size(); }, kPatience));
     }
     EXPECT_TRUE(robots->texts() == accepted)
         << accepted.size() << " accepted, " << robots->texts().size() << " arrived";

@@ -7,9 +7,6 @@
 import json
 import os
 import pathlib
-import pwd
-import random
-import re
 import shutil
 import signal
 import socket
@@ -22,9 +19,8 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 import probe  # noqa: E402
-from cluster import free  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import Laboratory, Process, keep_if_failed, programs, robot_ports, sockets_of, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, robot_ports, sockets_of, wait_until  # noqa: E402
 
 BIN = programs()
 OF_NODE = ["icestorm1", "icestorm2", "icestorm3", "es1", "es2", "fe1", "fe2", "entity-router", "client-router"]
@@ -80,12 +76,7 @@ class GridTest(unittest.TestCase):
 
     def test_a_robot_is_used_while_each_replica_of_icestorm_in_turn_and_then_registry_and_node_are_killed(self):
         cluster = self.start()
-        robot = self.lab.folder / "robot"
-        shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
-        (robot / "ports.cfg").write_text(f"Axon.Ports = {self.lab.ports}\n")
-        self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
-        self.lab.start_manager()
-        self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+        start_robot(self.lab)
 
         def works():
             status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
@@ -143,96 +134,41 @@ class GridTest(unittest.TestCase):
 
 
 class SeveralMachinesTest(unittest.TestCase):
-    """The folders of axon-cluster configure, each seen by its machine where it expects it: a mount namespace and an address of
-    loopback stand for each machine."""
-
-    MACHINES = {"127.0.0.2": "icegridregistry icestorm1 fe1 client-router", "127.0.0.3": "icestorm2 es1 entity-router",
-                "127.0.0.4": "icestorm3"}
-
-    def setUp(self):
-        if subprocess.run(["unshare", "--mount", "true"], capture_output=True, check=False).returncode != 0:
-            self.skipTest("mount namespaces cannot be made: it takes root")
-        self.lab = Laboratory(BIN, application="Greeter", ports="%d-%d" % robot_ports(), environment="embedded")
-        self.addCleanup(self.tidy)
-        self.out, self.at = self.lab.folder / "out", self.lab.folder / "at"
-        self.at.mkdir()
-        self.lab.env["PATH"] = f"{BIN}:{self.lab.env['PATH']}"
-
-    def tidy(self):
-        for process in self.lab.processes:  # a node ends its programs first, which takes longer than others have
-            if process.name.startswith("icegridnode") and process.child.poll() is None:
-                process.child.terminate()
-                process.child.wait(SECONDS)
-        self.lab.end()
-        keep_if_failed(self, self.lab.folder)
-
-    def free_ports(self):
-        """The first of 200 ports that are free at the addresses of all machines."""
-        for base in random.sample(range(11000, 32000, 200), 100):
-            if all(free(machine, port) for machine in self.MACHINES for port in range(base, base + 200)):
-                return base
-        self.fail("no 200 ports are free")
-
-    def do(self, *words):
-        done = subprocess.run([str(word) for word in words], env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
-        self.assertEqual(done.returncode, 0, f"{words}: {done.stdout}{done.stderr}")
-        return done.stdout
-
-    def on(self, machine, *words):
-        """The words of a command, as `machine` carries it out. sh becomes the command."""
-        return ["unshare", "--mount", "sh", "-c", 'mount --bind "$1" "$2"; shift 2; exec "$@"', "sh", self.out / machine, self.at, *words]
-
-    def start(self, machine, program):
-        words = self.on(machine, program, f"--Ice.Config={self.at}/{program}.cfg")
-        process = Process(f"{program}-{machine}", words, self.lab.folder, self.lab.env)
-        self.lab.processes.append(process)
-        return process
-
-    def admin(self, words):
-        done = subprocess.run([str(word) for word in self.on("127.0.0.2", "icegridadmin", f"--Ice.Config={self.at}/icegridadmin.cfg", "-e", words)],
-                              env=self.lab.env, capture_output=True, text=True, timeout=SECONDS, check=False)
-        return done.stdout + done.stderr
+    """The folders of axon-cluster configure, each on its machine (tools/machines.py)."""
 
     def test_a_robot_is_used_across_three_machines_and_what_is_killed_is_started_again(self):
-        (self.lab.folder / "hosts.txt").write_text("".join(f"{machine}: {programs}\n" for machine, programs in self.MACHINES.items()))
-        self.do(BIN / "axon-cluster", "configure", "--hosts", self.lab.folder / "hosts.txt", "--to", self.out, "--at", self.at,
-                "--user", pwd.getpwuid(os.geteuid()).pw_name, "--base-port", self.free_ports())
-        self.do(BIN / "axon", "certs", "init", "--folder", self.lab.folder / "certs")
-        self.do("sh", self.out / "certificates.sh", self.lab.folder / "certs")
-        application = self.out / "127.0.0.2" / "icegrid.xml"
-        application.write_text(application.read_text().replace('"/usr/bin"', f'"{BIN}"'))
-
-        self.start("127.0.0.2", "icegridregistry")
-        for machine in self.MACHINES:
-            self.start(machine, "icegridnode")
-        for machine in self.MACHINES:
-            wait_until(lambda its=machine: "node is up" in self.admin(f"node ping {its}"), f"the node of {machine} is up", SECONDS)
-        self.assertEqual(self.admin(f"application add '{self.at}/icegrid.xml'"), "")
-
-        client, entity = self.out / "for_clients/client.cfg", self.out / "for_entities/entitygl2client.cfg"
-        for file in (client, entity):
-            file.write_text(file.read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={file.parent}/certs"))
-        self.lab.env["AXON_CONFIG"] = str(client)
-        wait_until(lambda: self.lab.axon("ls")[0] == 0, "a client gets a session", SECONDS)
-        robot = self.lab.folder / "robot"
-        shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
-        (robot / "ports.cfg").write_text(f"Axon.Ports = {self.lab.ports}\n")
-        self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
-        self.lab.start("manager", "axon-entity-manager", "--config", entity, "--application", "Greeter",
-                       "--ports", self.lab.ports, "--state", self.lab.folder / "manager-state")
-        self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+        self.lab = lab = Laboratory(BIN, application="Greeter", ports="%d-%d" % robot_ports(), environment="machines")
+        self.addCleanup(self.tidy)
+        machines = lab.start_cluster()
+        start_robot(lab)
 
         def works():
-            status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
+            status, lines, errors = lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
             return status == 0 or print(lines, errors, file=sys.stderr)
         self.assertTrue(works())
         for name in ("es1", "icestorm2", "fe1"):
-            pid = int(self.admin(f"server pid {name}"))
-            os.kill(pid, signal.SIGKILL)
-            wait_until(lambda its=name, old=pid: re.fullmatch(r"\d+\n", said := self.admin(f"server pid {its}")) and int(said) != old,
-                       f"{name} is started again", SECONDS)
-            self.lab.wait_for_entity("Greeter", seconds=SECONDS)
+            before = machines.record(name)
+            machines.do("kill", name)
+            wait_until(lambda its=name, old=before: machines.runs(its) and machines.record(its) != old, f"{name} is started again", SECONDS)
+            lab.wait_for_entity("Greeter", seconds=SECONDS)
             wait_until(works, f"the robot can be used after the end of {name}", SECONDS)
+        # The third machine has nothing but a replica of IceStorm, and the others have a majority without it.
+        machines.machine("icestorm3").pull_cable()
+        self.assertTrue(works())
+
+    def tidy(self):
+        self.lab.end()
+        keep_if_failed(self, self.lab.folder)
+
+
+def start_robot(lab):
+    """The Greeter of the first example, with its Entity Manager; waits until it is in the environment."""
+    robot = lab.folder / "robot"
+    shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
+    (robot / "ports.cfg").write_text(f"Axon.Ports = {lab.ports}\n")
+    lab.start("application", "hello-entity", robot, robot / "ports.cfg")
+    lab.start_manager("", "--state", lab.folder / "manager-state")
+    lab.wait_for_entity("Greeter", seconds=SECONDS)
 
 
 def listening(pid):

@@ -359,7 +359,7 @@ class OwnershipTest(unittest.TestCase):
         self.assertEqual(self.stops(name), before + 2, "each once, whichever ways it took")
 
     def test_work_and_stops_are_done_by_the_direct_path(self):
-        self.works_in_two_lives("left", self.lab.environment != "cluster")  # there routers lie between
+        self.works_in_two_lives("left", not self.lab.behind_routers)  # there routers lie between
 
     def test_work_and_stops_are_done_where_no_direct_path_is_offered(self):
         self.works_in_two_lives("right", False)

@@ -2,8 +2,11 @@
 // The robot application that the clients in other languages drive: it counts, streams how far it is, and
 // stands still 30 ms after a stop.
 #include <axon/entity_interfacer.hpp>
+#include <chrono>
+#include <condition_variable>
 #include <iostream>
-#include <semaphore>
+#include <mutex>
+#include <optional>
 #include <thread>
 
 int main(int argc, char** argv) try {
@@ -18,16 +21,27 @@ int main(int argc, char** argv) try {
     interfacer.uploadServiceProfile(profiles / "services.xml");
     auto stream = interfacer.stream("count");
 
-    std::counting_semaphore<> stops{0};
+    std::mutex mutex;
+    std::condition_variable_any stopped;
+    using Clock = std::chrono::steady_clock;
+    std::optional<Clock::time_point> rests_at;  // guarded by mutex: after the last one of several stops
     interfacer.onStop([&](const axon::StopSignal& stop) {
         std::cout << "stop: " << toString(stop.cause) << std::endl;
-        stops.release();
+        const std::lock_guard lock(mutex);
+        rests_at = Clock::now() + std::chrono::milliseconds(30);
+        stopped.notify_one();
     });
     const std::jthread sensor([&](const std::stop_token& ending) {
-        std::binary_semaphore end{0};
-        const std::stop_callback wake(ending, [&] { end.release(), stops.release(); });
-        for (stops.acquire(); !end.try_acquire_for(std::chrono::milliseconds(30)); stops.acquire())
+        std::unique_lock lock(mutex);
+        while (stopped.wait(lock, ending, [&] { return rests_at.has_value(); })) {
+            const auto until = *rests_at;
+            if (stopped.wait_until(lock, ending, until, [&] { return rests_at != until; })) continue;
+            if (ending.stop_requested()) return;
+            rests_at.reset();
+            lock.unlock();
             interfacer.standstill();
+            lock.lock();
+        }
     });
 
     interfacer.onParameter([](const std::string&, const axon::Parameter& parameter) {

@@ -21,6 +21,12 @@ TimePoint StepClock::now() const {
     return now_;
 }
 
+std::size_t StepClock::waiting() const {
+    const std::lock_guard lock(mutex_);
+    return static_cast<std::size_t>(
+        std::count_if(threads_.begin(), threads_.end(), [](const auto& one) { return one.second.waits; }));
+}
+
 Duration StepClock::realTimeUntil(TimePoint deadline) const {
     const std::lock_guard lock(mutex_);
     const bool waits = deadline > now_;

@@ -22,6 +22,8 @@ class StepClock final : public Clock {
     Duration realTimeUntil(TimePoint deadline) const override;
 
     Duration elapsed() const { return now() - kStart; }
+    /// How many threads wait for a time to come.
+    std::size_t waiting() const;
     /// From deadline to deadline, each step complete.
     void advance(Duration time);
     /// To the next deadline, but at most this far.

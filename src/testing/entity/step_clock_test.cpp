@@ -14,10 +14,12 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// A thread that waits in steps, as the loop of a handler does, and notes when each of its steps was.
+/// A thread that waits in steps, as the loop of a handler does, and notes when each of its steps was. Made,
+/// it waits for the first one.
 class Walker {
   public:
     Walker(StepClock& clock, Duration step, int steps) {
+        const auto others = clock.waiting();
         thread_ = std::thread([this, &clock, step, steps] {
             std::mutex mutex;
             std::condition_variable never;
@@ -27,6 +29,7 @@ class Walker {
                 times_.push_back(clock.elapsed());
             }
         });
+        while (clock.waiting() == others) std::this_thread::yield();
     }
     ~Walker() { times(); }
     /// When its steps were. Those that it has not come to until now are taken at once, at the clock's time.

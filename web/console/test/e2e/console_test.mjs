@@ -573,7 +573,8 @@ test("AnotherUserLogsInWithTheSameBrowser", limited, async () => {
         await page.getByText("The server no longer knows who you are").waitFor();
         await logIn("anna", "battery staple");
         await page.getByText("(operator)").waitFor();
-        assert.deepEqual(own.complaints, []);
+        // Chromium's word for a message to a socket that this test has closed while the page knew nothing of it.
+        assert.deepEqual(own.complaints.filter((one) => one !== "WebSocket is already in CLOSING or CLOSED state."), []);
     } finally {
         await own.end();
     }

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""A cluster on several machines that are network namespaces of this one: each has an address, a cable to one switch, and the
+folder that `axon-cluster configure` wrote for it. Clients, Entity Managers and robots are at the switch."""
+import contextlib
+import ctypes
+import itertools
+import os
+import pathlib
+import pwd
+import signal
+import ssl
+import subprocess
+import sys
+import unittest
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "deploy" / "cluster"))
+import configuration  # noqa: E402
+import hosts  # noqa: E402
+import laboratory  # noqa: E402
+import processes  # noqa: E402
+import probe  # noqa: E402
+from grid import record  # noqa: E402
+
+NETWORK = "10.88.0"
+THREE = {f"{NETWORK}.1": "icegridregistry icestorm1 fe1 client-router", f"{NETWORK}.2": "icestorm2 es1 entity-router",
+         f"{NETWORK}.3": "icestorm3"}
+SECONDS = 60
+CLONE_NEWNET = 0x40000000
+DISABLED, FORWARDING = 0, 3  # states of a switch's port
+_cables = itertools.count(1)
+_entered = []
+
+
+def one_for_each(*programs):
+    """A machine for each program: {address: program}."""
+    return {f"{NETWORK}.{number}": program for number, program in enumerate(programs, 1)}
+
+
+def run(*words, env=None):
+    done = subprocess.run([str(word) for word in words], env=env, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=SECONDS, check=False)
+    if done.returncode != 0:
+        raise laboratory.Failed(f"{' '.join(map(str, words))}: {done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def enter():
+    """From now on this thread, and whatever it starts, is at a switch in a network namespace of its own, which goes with its last
+    process. Raises unittest.SkipTest where none can be made."""
+    if _entered:
+        return
+    try:  # in another process first: there is no way back
+        run("unshare", "--net", "--mount", "sh", "-c", "ip link add switch type bridge && ip link add one type veth peer name other")
+    except (laboratory.Failed, OSError) as error:
+        raise unittest.SkipTest(f"network namespaces cannot be made here (they need root and iproute2): {error}") from error
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(CLONE_NEWNET) != 0:
+        raise unittest.SkipTest(f"network namespaces cannot be made here: {os.strerror(ctypes.get_errno())}")
+    _entered.append(True)
+    run("ip", "link", "set", "lo", "up")
+    run("ip", "link", "add", "switch", "type", "bridge")
+    run("ip", "address", "add", f"{NETWORK}.254/24", "dev", "switch")
+    run("ip", "link", "set", "switch", "up")
+
+
+class Machine:
+    """Two namespaces, for its network and its files. They live as long as the process that holds them, and what runs there."""
+
+    def __init__(self, address, folder, at, lab):
+        """`folder`: what lies at `at` for those who are on it."""
+        self.address, self.folder = address, folder
+        self.cable = f"cable{next(_cables)}"
+        self.holder = laboratory.Process(f"machine-{address}", [
+            "setpriv", "--pdeathsig", "KILL", "unshare", "--net", "--mount", "sh", "-c",
+            'mount --bind "$0" "$1" && ip link set lo up && echo ready && exec sleep infinity', folder, at], lab.folder, lab.env)
+        self.holder.wait_for("ready")
+        run("ip", "link", "add", self.cable, "type", "veth", "peer", "name", "cable", "netns", self.holder.child.pid)
+        run("ip", "link", "set", self.cable, "master", "switch", "up")
+        last = int(address.rpartition(".")[2])
+        # The same address has the same hardware address in every laboratory, so that no neighbour remembers another one.
+        run(*self.does("ip", "link", "set", "cable", "address", f"02:00:00:00:00:{last:02x}", "up"))
+        run(*self.does("ip", "address", "add", f"{address}/24", "dev", "cable"))
+
+    def does(self, *words):
+        """The command that carries out those words on it."""
+        return ["nsenter", "--target", str(self.holder.child.pid), "--net", "--mount", *words]
+
+    def pull_cable(self):
+        """From now on the switch drops all that comes from it or is for it, and nobody is told."""
+        run("bridge", "link", "set", "dev", self.cable, "state", DISABLED)
+
+    def plug_cable(self):
+        run("bridge", "link", "set", "dev", self.cable, "state", FORWARDING)
+
+    def end(self):
+        with contextlib.suppress(laboratory.Failed):
+            run("ip", "link", "delete", self.cable)
+        self.holder.kill()
+
+
+class Machines:
+    """In the place of laboratory.Cluster. `layout`: {address: the programs there}."""
+
+    def __init__(self, lab, layout):
+        self.lab, self.layout = lab, layout
+        self.folder = lab.folder / "cluster"
+        self.at = lab.folder / "at"  # where each machine sees its own folder
+        self.machines, self.nodes, self.registry, self.registry_process = {}, [], None, None
+
+    def up(self):
+        """Starts the machines; where they run, waits for what their nodes start again."""
+        if not self.machines:
+            self.configure()
+            self.start()
+        laboratory.wait_until(lambda: all(map(self.runs, self.programs)), "every program runs", SECONDS)
+        laboratory.wait_until(lambda: all(map(self.answers, self.names("icestorm"))), "every replica of IceStorm answers", SECONDS)
+        client = {**self.lab.env, "AXON_CONFIG": self.status["client_config"]}
+        laboratory.wait_until(lambda: self.lab.axon("ls", env=client)[0] == 0, "a client gets a session", SECONDS)
+
+    def configure(self):
+        text = "".join(f"{machine}: {programs}\n" for machine, programs in self.layout.items())
+        (self.folder / "hosts.txt").write_text(text)
+        run(self.lab.bin / "axon-cluster", "configure", "--hosts", self.folder / "hosts.txt", "--to", self.folder / "out", "--at", self.at,
+            "--user", pwd.getpwuid(os.geteuid()).pw_name, env=self.lab.env)
+        run(self.lab.bin / "axon", "certs", "init", "--folder", self.folder / "certs", env=self.lab.env)
+        run("sh", self.folder / "out" / "certificates.sh", self.folder / "certs",
+            env={**self.lab.env, "PATH": f"{self.lab.bin}:{self.lab.env['PATH']}"})
+        plan = self.plan = hosts.read(text, self.folder / "hosts.txt", self.at)
+        self.registry = plan.host("icegridregistry")
+        self.programs = {program.name: plan.host(program.name) for program in configuration.programs(plan)
+                         if not program.name.startswith("icegridnode")}
+        files = [self.folder / "out" / hosts.FOR_CLIENTS / "client.cfg", self.folder / "out" / hosts.FOR_ENTITIES / "entitygl2client.cfg"]
+        for file in files:
+            file.write_text(file.read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={file.parent}/certs"))
+        application = self.here(self.registry) / "icegrid.xml"
+        application.write_text(application.read_text().replace(f'"{hosts.PROGRAMS}"', f'"{self.lab.bin}"'))
+        users = self.folder / "users.cfg"
+        for machine in self.layout:
+            services = self.here(machine) / "globalservices"
+            services.rmdir()
+            services.symlink_to(self.lab.services_folder)
+            if users.exists():
+                with open(self.here(machine) / "users.cfg", "a", encoding="utf-8") as file:
+                    file.write(users.read_text())
+        self.status = {"client_config": str(files[0]), "entity_config": str(files[1]), "programs": [
+            {"name": program.name, "log": str(self.here(plan.host(program.name)) / "log" / f"{program.name}.log"),
+             "ports": {what: f"{host}:{port}" for what, (host, port) in program.ports.items()}}
+            for program in configuration.programs(plan) if program.name in self.programs]}
+
+    def start(self):
+        self.at.mkdir()
+        self.machines = {address: Machine(address, self.here(address), self.at, self.lab) for address in self.layout}
+        self.start_registry()
+        for address in self.layout:
+            self.nodes.append(self.start_on(address, "icegridnode"))
+        for address in self.layout:
+            laboratory.wait_until(lambda its=address: "node is up" in self.admin(f"node ping {its}"), f"the node of {address} is up", SECONDS)
+        if said := self.admin(f"application add '{self.at}/icegrid.xml'"):
+            raise laboratory.Failed(said)
+
+    def start_registry(self):
+        self.registry_process = self.start_on(self.registry, "icegridregistry")
+
+    def start_on(self, address, program):
+        words = self.machines[address].does("setpriv", "--pdeathsig", "TERM", program, f"--Ice.Config={self.at}/{program}.cfg")
+        return laboratory.Process(f"{program}-{address}", words,
+                                  self.lab.folder, self.lab.env)
+
+    def here(self, machine):
+        """The folder of a machine, for who is not on it."""
+        return self.folder / "out" / machine
+
+    def admin(self, words):
+        """What IceGrid answers, or why it does not."""
+        words = self.machines[self.registry].does("icegridadmin", f"--Ice.Config={self.at}/icegridadmin.cfg", "-e", words)
+        done = subprocess.run(words, env=self.lab.env, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=SECONDS, check=False)
+        return done.stdout + done.stderr
+
+    def names(self, *kinds):
+        """Of the programs whose names begin so: fe, es, icestorm, …"""
+        return [name for name in self.programs if name.startswith(kinds)]
+
+    def machine(self, name):
+        """That of a program."""
+        return self.machines[self.programs[name]]
+
+    def record(self, name):
+        """Of the process of that program, for processes.strike(); None where there was none."""
+        if name == "icegridregistry":
+            pid = self.registry_process.child.pid
+            return {"pid": pid, "ticks": processes.start_ticks(pid), "boot": processes.boot_id()}
+        return record(self.here(self.programs[name]), name)
+
+    def runs(self, name):
+        return processes.runs(self.record(name))
+
+    def answers(self, name):
+        """Whether a replica of IceStorm does, which speaks to servers only."""
+        certs = self.here(self.programs["fe1"]) / "certs"
+        stem = configuration.certificate_of(self.plan, "fe1")
+        context = ssl.create_default_context(cafile=certs / "ca.cert.pem")
+        context.load_cert_chain(certs / f"{stem}.cert.pem", certs / f"{stem}.key.pem")
+        try:
+            probe.ping(self.programs[name], self.plan.port(name, "topics"), "IceStorm/TopicManager", context)
+            return True
+        except probe.NoAnswer:
+            return False
+
+    def do(self, verb, name):
+        """As axon-cluster's kill and restart. The program's node starts again what ends."""
+        before = self.record(name)
+        if verb == "kill":
+            processes.strike(before, signal.SIGKILL, SECONDS)
+            return
+        if said := self.admin(f"server stop {name}"):
+            raise laboratory.Failed(said)
+        laboratory.wait_until(lambda: self.runs(name) and self.record(name) != before, f"{name} is started again", SECONDS)
+
+    def start_again(self, name):
+        """A program that was killed."""
+        if name == "icegridregistry":
+            self.registry_process.end()
+            self.start_registry()
+        laboratory.wait_until(lambda: self.runs(name), f"{name} is started again", SECONDS)
+
+    def kill(self):
+        """kill -9 of every server."""
+        for name in self.names("fe", "es"):
+            self.do("kill", name)
+
+    def text(self):
+        return "".join(pathlib.Path(program["log"]).read_text(errors="replace") for program in self.status["programs"]
+                       if program["name"].startswith(("fe", "es")))
+
+    def end(self):
+        for machine in self.machines.values():
+            with contextlib.suppress(laboratory.Failed):
+                machine.plug_cable()  # a node without its registry takes a minute to end
+        for node in self.nodes:  # all at once; each ends its programs first
+            node.child.terminate()
+        for node in self.nodes:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                node.child.wait(SECONDS)
+            node.end()
+        if self.registry_process:
+            self.registry_process.end()
+        for machine in self.machines.values():
+            machine.end()
