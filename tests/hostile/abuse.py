@@ -498,8 +498,9 @@ def say_wrong(siege, port, rng, wire):
 def garbage_to_tls(siege, port, rng, source):
     wire = Wire(port.tls, source)
     try:
-        wire.say(rng.choice((b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\x16\x03\x01\x00\x04" + rng.randbytes(4) * 10,
-                             b"\x16\x03\x01\x00\xc8" + rng.randbytes(200))))
+        # Nothing that may be the beginning of something: that is a half-open connection. An alert, or data, before the handshake.
+        wire.say(rng.choice((b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\x15\x03\x03\x00\x02\x02\x28" + rng.randbytes(50),
+                             b"\x17\x03\x03\x00\x20" + rng.randbytes(32))))
     except Ended:
         pass
     ends(wire)
@@ -836,7 +837,7 @@ console_old_cookie = console_post("/ticket", lambda siege, rng: ("", {"Cookie": 
 def ws_garbage(siege, port, rng, source):
     wire = Wire(port.tls, source, siege.trusting())
     try:
-        wire.say(rng.choice((rng.randbytes(400), b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"IceP" + rng.randbytes(40) + b"\r\n\r\n",
+        wire.say(rng.choice((rng.randbytes(400) + b"\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"IceP" + rng.randbytes(40) + b"\r\n\r\n",
                              b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n")))
     except Ended:
         pass
@@ -1161,6 +1162,7 @@ def main():
         return 1 if failures else 0
     finally:
         siege.honest.ended.set()
+        siege.honest.client.destroy()
         siege.lab.end()
         if failures:
             print(f"logs: {siege.lab.folder}", file=sys.stderr)
