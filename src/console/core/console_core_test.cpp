@@ -41,7 +41,7 @@ class FakeLogins final : public LoginPort {
         answered(refuse(RefusalCode::PermissionDenied, "wrong user or password; fix: correct them"));
     }
     void turnedAway(const std::string& its_peer, const std::string& what, const Refusal& refusal) override {
-        turned_away.push_back(its_peer + " | " + what + " | " + refusalName(refusal.code));
+        turned_away.push_back(its_peer + " | " + what + " | " + std::string(refusalName(refusal.code)));
     }
     bool users = true;
     int asked = 0;
