@@ -246,11 +246,11 @@ void Gateway::stopSignal(const ShownEntity& entity, const Header& head, StopCaus
     if (cause != StopCause::Requested && cause != StopCause::Drill) {
         // The client is gone from home. What that means for a running task, the Entity Manager decides, so
         // its session there ends in the same way.
-        if (const auto connection = connectionOf(client)) {
-            if (cause == StopCause::Released) return leaveSoon(connection);
-            return connection->drop();
-        }
-        if (signals_.hasVisited(client)) return;  // its session there has ended already, for another entity
+        // Without a session there it holds nothing: it has ended already, for another entity, or this is
+        // somebody of the partner's, whom a server at home knows only as the holder and takes for gone.
+        const auto connection = connectionOf(client);
+        if (!connection) return;
+        return cause == StopCause::Released ? leaveSoon(connection) : connection->drop();
     }
     if (!signals_.stop(entity.there, head, cause))
         spdlog::warn("a stop of {} for {} was not passed on: there is no session in its laboratory",

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "partner/signal_relay.hpp"
 
-#include <algorithm>
-
 #include "partner/translation.hpp"
 
 namespace axon::partner {
@@ -35,15 +33,6 @@ void SignalRelay::end(const std::string& client) {
     if (ended_.size() <= kRemembered) return;
     clients_.erase(ended_.front());
     ended_.pop_front();
-}
-
-bool SignalRelay::hasVisited(const std::string& client) const {
-    const std::lock_guard lock(mutex_);
-    return !visitors_.contains(client) &&
-           std::any_of(ended_.begin(), ended_.end(), [&](const std::string& there) {
-               const auto found = clients_.find(there);
-               return found != clients_.end() && found->second.id == client;
-           });
 }
 
 std::int64_t SignalRelay::numberOf(const Header& head) {

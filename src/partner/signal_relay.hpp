@@ -45,8 +45,6 @@ class SignalRelay {
     void visit(const Sender& client, const Sender& there, Lanes lanes);
     /// Its session has ended. Receipts that name it are translated still.
     void end(const std::string& client);
-    /// It had a session there, which has ended.
-    bool hasVisited(const std::string& client) const;
 
     /// `entity`: UUID there. False: no session is there, and nothing was sent.
     bool stop(const std::string& entity, const Header& head, StopCause cause);

@@ -94,10 +94,7 @@ TEST_F(SignalRelayTest, AVisitorStopsByItsOwnSessionAndUnderItsOwnNumber) {
     ASSERT_EQ(own->stops.size(), 1U);
     EXPECT_EQ(own->stops[0].sequence, 9);
     EXPECT_EQ(own->causes[0], StopCause::Drill);
-    EXPECT_FALSE(relay.hasVisited("ann"));
     relay.end("ann");
-    EXPECT_TRUE(relay.hasVisited("ann"));
-    EXPECT_FALSE(relay.hasVisited("bob"));
     relay.stop("e", of(kAnn, 10), StopCause::ClientLost);
     ASSERT_EQ(watch->stops.size(), 1U);
     EXPECT_EQ(watch->causes[0], StopCause::Requested) << "a client may say no other cause";
