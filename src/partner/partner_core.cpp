@@ -87,11 +87,7 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
     visitor->me = me;
     visitor->server = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
     visitor->beats_at = now;
-    if (holders_.emplace(me.id, visitor->client).second) holders_order_.push_back(me.id);
-    if (holders_order_.size() > kHolders) {
-        holders_.erase(holders_order_.front());
-        holders_order_.pop_front();
-    }
+    holders_[me.id] = visitor->client;
     there_.visits(session, visitor->client);
     auto waiting = std::exchange(visitor->waiting, {});
     visitor->waiting_bytes = 0;
@@ -121,11 +117,14 @@ void PartnerCore::onClosed(SessionNumber session, const std::string& reason) {
     if (session == watch_) return lose(reason);
     const auto* visitor = visitorOf(session);
     if (visitor == nullptr) return;
-    end(std::string(visitor->client.id), Ending::Lost,
-        {RefusalCode::OutcomeUnknown,
-         "The session of this client in laboratory " + settings_.laboratory +
-             " was lost while it was under way: " + reason,
-         {}});
+    end(std::string(visitor->client.id), Ending::Lost, lostSession(reason));
+}
+
+Refusal PartnerCore::lostSession(const std::string& why) const {
+    return {RefusalCode::OutcomeUnknown,
+            "The session of this client in laboratory " + settings_.laboratory +
+                " was lost while it was under way: " + why,
+            {}};
 }
 
 void PartnerCore::lose(const std::string& why) {
@@ -391,7 +390,9 @@ void PartnerCore::onClientMsg(const std::string& entity, bool droppable, const H
     message.head.entity = shown->names.there;
     message.head.sender = {};
     if (droppable) {
-        if (visitor != nullptr && !visitor->me.id.empty()) pass(*visitor, std::move(message));
+        // An Entity Manager carries out whatever is in it, so only what no role is asked about passes unread;
+        // that the body is what the type says, the Entity Manager sees to.
+        if (head.msg_type == kMsgRaw && visitor != nullptr && !visitor->me.id.empty()) pass(*visitor, std::move(message));
         return;
     }
     proto::ToEntity asked;
@@ -496,6 +497,11 @@ void PartnerCore::end(const std::string& client, Ending ending, const Refusal& w
     visitors_.erase(found);
     clients_of_.erase(visitor.session);
     signals_.end(client);
+    if (!visitor.me.id.empty()) gone_holders_.push_back(visitor.me.id);
+    if (gone_holders_.size() > kHolders) {
+        holders_.erase(gone_holders_.front());
+        gone_holders_.pop_front();
+    }
     ending == Ending::Orderly ? there_.leave(visitor.session) : there_.drop(visitor.session);
     if (why.ok()) return;
     // Whatever was answered already is settled at the client, who does not look at another answer.
@@ -515,10 +521,13 @@ void PartnerCore::onTimer() {
             watch_beats_at_ = now + kIdleBeat;
         }
     }
-    std::vector<std::string> idle;
+    std::vector<std::string> idle, mute;
     for (auto& [client, visitor] : visitors_) {
         if (visitor.me.id.empty()) continue;
-        if (visitor.server->expired(now)) return lose("its server has been silent for too long");
+        if (visitor.server->expired(now)) {
+            mute.push_back(client);
+            continue;
+        }
         const bool wants = !visitor.wants.empty();
         if (!wants && now - visitor.used >= kIdle) idle.push_back(client);
         if (now < visitor.beats_at) continue;
@@ -526,6 +535,7 @@ void PartnerCore::onTimer() {
         visitor.beats_at = now + (wants ? kTurn : kIdleBeat);
     }
     for (const auto& client : idle) end(client, Ending::Orderly, {});
+    for (const auto& client : mute) end(client, Ending::Lost, lostSession("its server was silent for too long"));
     std::vector<std::string> silent;
     for (auto& [there, shown] : entities_) {
         if (!shown.up) continue;

@@ -159,6 +159,7 @@ class PartnerCore {
     void refuse(const Shown& entity, const Sender& client, proto::ToClient answer, const Refusal& refusal);
     /// `why`: what its requests are refused with; OK: it is gone from home, too.
     void end(const std::string& client, Ending ending, const Refusal& why);
+    Refusal lostSession(const std::string& why) const;
     /// Nothing is shown and nobody visits until there is another session that watches.
     void lose(const std::string& why);
     void openWatch();
@@ -189,7 +190,7 @@ class PartnerCore {
     std::map<std::string, Visitor> visitors_;  // by client id at home
     std::map<SessionNumber, std::string> clients_of_;  // client id at home, by session
     std::map<std::string, Sender> holders_;            // client at home, by its id there, also of the gone
-    std::deque<std::string> holders_order_;
+    std::deque<std::string> gone_holders_;             // of holders_, those whose sessions have ended
 };
 
 }  // namespace axon::partner

@@ -483,6 +483,120 @@ TEST_F(PartnerCoreTest, TheAccountOfAnAdministratorRearmsOnlyForTheHolder) {
     EXPECT_THAT(there.sent, IsEmpty());
 }
 
+TEST_F(PartnerCoreTest, OnlyRawDataMayBeDroppable) {
+    const Sender eve{"eve-id", "eve@desk", Role::Observer};
+    proto::ToEntity asked;
+    asked.mutable_status_request()->set_request_id("1");
+    say(eve, kMsgStatus, asked);
+    core.onOpened(there.opened.back().first, {"eve-there", "lab-a@eve", Role::Operator}, {});
+    there.sent.clear();
+    proto::ToEntity take;
+    take.mutable_check_out()->set_phase(proto::TAKE);
+    Header head;
+    head.sender = eve;
+    for (const auto* type : {kMsgCheckOut, kMsgTask, kMsgRearm, ""}) {
+        head.msg_type = type;
+        core.onClientMsg(kRobotHome, true, head, take.SerializeAsString());
+    }
+    EXPECT_THAT(there.sent, IsEmpty()) << "it would go past what her role permits";
+    head.msg_type = kMsgRaw;
+    core.onClientMsg(kRobotHome, true, head, "anything");
+    ASSERT_EQ(there.sent.size(), 1U);
+    EXPECT_EQ(there.sent[0].operation, client::Operation::ToEntityDataSeq);
+}
+
+TEST_F(PartnerCoreTest, AHolderIsKnownHoweverManyVisitAfterIt) {
+    visit(kAnn, kAnnThere);
+    for (std::size_t i = 0; i <= PartnerCore::kHolders; ++i) {
+        const auto number = std::to_string(i);
+        const Sender bob{"bob-" + number, "bob", Role::Operator};
+        visit(bob, {"bob-there-" + number, "b", Role::Operator});
+        core.onClientUpdate(kRobotHome, bob.id, ClientChange::Ended);
+    }
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::BUSY));
+    EXPECT_EQ(home.statuses.back().holder.id, "ann-id");
+    core.onStatus(watch, statusOf({"bob-there-0", "b", Role::Operator}, EntityState::REG));
+    EXPECT_EQ(home.statuses.back().holder.id, "stranger-bob-there-0") << "of the gone only so many are";
+}
+
+TEST_F(PartnerCoreTest, TheSilenceOfOneSessionEndsThatOneOnly) {
+    const auto ann = visit(kAnn, kAnnThere);
+    const auto bob = visit(kBob, {"bob-there", "b", Role::Operator});
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::BUSY));
+    for (int i = 0; i < 16; ++i) {
+        core.onHeartbeat(bob);
+        core.onHomeHeartbeat(kRobotHome);
+        pass(25ms);
+    }
+    EXPECT_THAT(there.dropped, ElementsAre(ann));
+    EXPECT_THAT(home.left, IsEmpty());
+    EXPECT_EQ(core.visitors(), 1U);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].head.sender.id, "ann-id");
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::OUTCOME_UNKNOWN);
+}
+
+TEST_F(PartnerCoreTest, AnEntityThatAClientHasToGiveUpIsGivenUpAloneAndTheOthersStay) {
+    robot("r2", "Arm");
+    const auto ann = visit(kAnn, kAnnThere);  // waits for r1
+    Header head;
+    head.sender = kAnn;
+    head.msg_type = kMsgCheckOut;
+    head.sequence = 2;
+    proto::ToEntity take;
+    take.mutable_check_out()->set_request_id("fedcba9876543210");
+    take.mutable_check_out()->set_phase(proto::TAKE);
+    core.onClientMsg("home-r2", false, head, take.SerializeAsString());
+    proto::ToEntity watching;
+    watching.mutable_watch()->set_on(true);
+    say(kAnn, kMsgWatch, watching, {}, 3);
+    there.sent.clear();
+    core.onClientUpdate(kRobotHome, "ann-id", ClientChange::Ended);
+    EXPECT_THAT(there.left, IsEmpty()) << "she drives r2";
+    proto::ToEntity told;
+    ASSERT_EQ(there.sent.size(), 2U);
+    EXPECT_EQ(there.sent[0].session, ann);
+    EXPECT_EQ(there.sent[0].head.entity, kRobot);
+    EXPECT_EQ(there.sent[0].head.msg_type, kMsgCheckOut);
+    ASSERT_TRUE(told.ParseFromString(there.sent[0].bytes));
+    EXPECT_EQ(told.check_out().phase(), proto::ABORT);
+    EXPECT_EQ(told.check_out().request_id(), "0123456789abcdef");
+    EXPECT_EQ(there.sent[1].head.msg_type, kMsgWatch);
+    ASSERT_TRUE(told.ParseFromString(there.sent[1].bytes));
+    EXPECT_TRUE(told.has_watch() && !told.watch().on());
+    core.onClientUpdate("home-r2", "ann-id", ClientChange::Ended);
+    EXPECT_THAT(there.left, ElementsAre(ann)) << "nothing is left that she wants";
+    EXPECT_THAT(home.sent, testing::Contains(testing::Truly([](const ToHome& one) {
+                    return one.message.check_out().request_id() == "fedcba9876543210" &&
+                           one.message.check_out().refusal().code() == proto::OUTCOME_UNKNOWN;
+                })))
+        << "and no request stays without an answer";
+}
+
+TEST_F(PartnerCoreTest, AnEntityThatIsHeldAlreadyWhenItHasToBeGivenUpIsReleased) {
+    robot("r2", "Arm");
+    const auto ann = visit(kAnn, kAnnThere);
+    Header head;
+    head.sender = kAnn;
+    head.sequence = 2;
+    proto::ToEntity watching;
+    watching.mutable_watch()->set_on(true);
+    core.onClientMsg("home-r2", false, head, watching.SerializeAsString());
+    proto::ToClient granted;
+    granted.mutable_check_out()->mutable_lease()->set_epoch(3);
+    granted.mutable_check_out()->mutable_lease()->set_number(5);
+    fromThere(ann, granted);
+    there.sent.clear();
+    core.onClientUpdate(kRobotHome, "ann-id", ClientChange::Ended);
+    EXPECT_THAT(there.left, IsEmpty());
+    ASSERT_EQ(there.sent.size(), 1U);
+    EXPECT_EQ(there.sent[0].head.msg_type, kMsgRelease);
+    EXPECT_EQ(there.sent[0].head.held, (LeaseNumber{3, 5}));
+    proto::ToEntity told;
+    ASSERT_TRUE(told.ParseFromString(there.sent[0].bytes));
+    EXPECT_TRUE(told.has_release());
+}
+
 TEST_F(PartnerCoreTest, TheOrderlyEndReleasesWhatIsHeld) {
     const auto ann = visit(kAnn, kAnnThere);
     core.stop();
