@@ -204,9 +204,10 @@ void PartnerCore::hide(const std::string& there) {
     there_of_.erase(home);
     entities_.erase(found);
     for (auto& [client, visitor] : visitors_) {
-        visitor.wants.erase(there);
+        visitor.check_outs.erase(there);
+        visitor.watches.erase(there);
         visitor.granted.erase(there);
-        paceOf(visitor);
+        if (visitor.busy.contains(there)) paceOf(&visitor, there, false);
     }
     home_.leave(home);
 }
@@ -216,9 +217,18 @@ void PartnerCore::onStatus(SessionNumber session, const EntityStatus& status) {
     if (session != watch_) return;
     auto* shown = ofThere(status.entity);
     if (shown == nullptr) return;
+    const auto before = shown->status ? shown->status->holder.id : std::string{};
     shown->status = status;
     if (shown->up) tellStatus(*shown);
-    for (auto& [client, visitor] : visitors_) paceOf(visitor);
+    if (before != status.holder.id) paceOf(visitorThere(before), status.entity, false);
+    paceOf(visitorThere(status.holder.id), status.entity, status.state == EntityState::BUSY);
+}
+
+PartnerCore::Visitor* PartnerCore::visitorThere(const std::string& id) {
+    const auto client = holders_.find(id);
+    if (client == holders_.end()) return nullptr;
+    const auto found = visitors_.find(client->second.id);
+    return found == visitors_.end() || found->second.me.id != id ? nullptr : &found->second;
 }
 
 Sender PartnerCore::holderAtHome(const Sender& there) const {
@@ -241,15 +251,81 @@ void PartnerCore::tellStatus(const Shown& entity) {
     home_.tellStatus(its);
 }
 
-void PartnerCore::paceOf(Visitor& visitor) {
-    if (!visitor.server) return;
-    const bool busy = std::any_of(entities_.begin(), entities_.end(), [&](const auto& one) {
-        const auto& status = one.second.status;
-        return status && status->state == EntityState::BUSY && status->holder.id == visitor.me.id;
-    });
+void PartnerCore::paceOf(Visitor* visitor, const std::string& there, bool busy) {
+    if (visitor == nullptr || !visitor->server) return;
+    if (busy)
+        visitor->busy.insert(there);
+    else
+        visitor->busy.erase(there);
     const auto now = clock_.now();
-    if (busy && !visitor.server->busy()) visitor.server->heard(now);
-    visitor.server->setBusy(busy, now);
+    const bool any = !visitor->busy.empty();
+    if (any && !visitor->server->busy()) visitor->server->heard(now);
+    visitor->server->setBusy(any, now);
+}
+
+bool PartnerCore::engaged(const Visitor& visitor) {
+    return !visitor.check_outs.empty() || !visitor.watches.empty() || !visitor.granted.empty() ||
+           !visitor.busy.empty();
+}
+
+bool PartnerCore::engagedWith(const Visitor& visitor, const std::string& there) {
+    return visitor.check_outs.contains(there) || visitor.watches.contains(there) ||
+           visitor.granted.contains(there) || visitor.busy.contains(there);
+}
+
+void PartnerCore::noteAsked(Visitor& visitor, const std::string& there, const proto::ToEntity& asked) {
+    if (asked.has_check_out() && asked.check_out().phase() != proto::ABORT)
+        visitor.check_outs[there] = asked.check_out().request_id();
+    if (asked.has_release()) visitor.granted.erase(there);  // the rest when it has ended
+    if (!asked.has_watch()) return;
+    const auto& watch = asked.watch();
+    if (watch.on()) {
+        auto& streams = visitor.watches[there];
+        if (watch.streams().empty()) streams = {std::string{}};
+        for (const auto& stream : watch.streams()) streams.insert(stream);
+        if (streams.size() > kStreams) streams = {std::string{}};
+    } else if (const auto its = visitor.watches.find(there); its != visitor.watches.end()) {
+        for (const auto& stream : watch.streams()) its->second.erase(stream);
+        if (watch.streams().empty() || its->second.empty()) visitor.watches.erase(its);
+    }
+}
+
+void PartnerCore::noteNotGranted(Visitor& visitor, const std::string& there, const std::string& request_id) {
+    if (visitor.granted.contains(there)) return;
+    if (const auto its = visitor.check_outs.find(there);
+        its != visitor.check_outs.end() && its->second == request_id)
+        visitor.check_outs.erase(its);
+}
+
+bool PartnerCore::withdraw(Visitor& visitor, const std::string& there) {
+    const auto say = [&](const char* type, LeaseNumber held, const proto::ToEntity& message) {
+        Waiting its;
+        its.head.entity = there;
+        its.head.msg_type = type;
+        its.head.held = held;
+        its.head.sent_at_us = toMicroseconds(clock_.now());
+        its.bytes = message.SerializeAsString();
+        if (!visitor.me.id.empty())
+            return there_.send(visitor.session, client::Operation::ToEntity, its.head, std::move(its.bytes));
+        visitor.waiting_bytes += its.bytes.size();
+        visitor.waiting.push_back(std::move(its));
+        return true;
+    };
+    bool said = true;
+    proto::ToEntity message;
+    if (const auto granted = visitor.granted.find(there); granted != visitor.granted.end()) {
+        message.mutable_release();
+        said = say(kMsgRelease, granted->second, message);
+        visitor.granted.erase(granted);
+    } else if (const auto asked = visitor.check_outs.find(there); asked != visitor.check_outs.end()) {
+        message.mutable_check_out()->set_request_id(asked->second);
+        message.mutable_check_out()->set_phase(proto::ABORT);
+        said = say(kMsgCheckOut, {}, message);
+    }
+    visitor.check_outs.erase(there);
+    if (visitor.watches.erase(there) == 0) return said;
+    message.mutable_watch()->set_on(false);
+    return say(kMsgWatch, {}, message) && said;
 }
 
 void PartnerCore::onEntityMsg(SessionNumber session, Lane lane, bool droppable, const Header& head,
@@ -295,12 +371,20 @@ bool PartnerCore::translate(const Shown& entity, Visitor& visitor, Lane lane, pr
             service.set_entity_id(entity.names.home);
         return true;
     }
-    if (message.has_lease_ended()) visitor.granted.erase(there);
+    if (message.has_lease_ended()) {
+        visitor.granted.erase(there);
+        visitor.check_outs.erase(there);
+    }
     if (!message.has_check_out()) return false;
     auto& reply = *message.mutable_check_out();
-    if (reply.has_lease())
+    const bool refused = reply.has_refusal() && reply.refusal().code() != proto::OK;
+    if (reply.has_lease()) {
         visitor.granted[there] = {static_cast<std::int32_t>(reply.lease().epoch()),
                                   static_cast<std::int32_t>(reply.lease().number())};
+        visitor.check_outs[there] = reply.request_id();
+    } else if (refused || reply.phase() == proto::ABORT) {
+        noteNotGranted(visitor, there, reply.request_id());
+    }
     // They lead past this gateway, to where the client is nobody.
     reply.clear_datagram_endpoint();
     reply.clear_direct_endpoint();
@@ -346,6 +430,8 @@ void PartnerCore::tell(const Shown& entity, const Sender& client, const char* ty
 void PartnerCore::refuse(const Shown& entity, const Sender& client, proto::ToClient answer,
                          const Refusal& refusal) {
     setRefusal(answer, refusal);
+    if (const auto visitor = visitors_.find(client.id); visitor != visitors_.end() && answer.has_check_out())
+        noteNotGranted(visitor->second, entity.names.there, answer.check_out().request_id());
     tell(entity, client, answer.has_check_out() ? kMsgCheckOut : kMsgReply, Lane::Data, answer);
 }
 
@@ -369,7 +455,7 @@ void PartnerCore::onHomeDown(const std::string& entity, const std::string& reaso
     // Nobody tells these clients from now on whether they still live.
     std::vector<std::string> lost;
     for (const auto& [client, visitor] : visitors_)
-        if (visitor.wants.contains(shown->names.there)) lost.push_back(client);
+        if (engagedWith(visitor, shown->names.there)) lost.push_back(client);
     for (const auto& client : lost) end(client, Ending::Lost, {});
     if (!lost.empty())
         note_("the server at home is lost (" + reason + "): " + std::to_string(lost.size()) +
@@ -424,8 +510,7 @@ void PartnerCore::onClientMsg(const std::string& entity, bool droppable, const H
                            {}});
     }
     visitor->used = clock_.now();
-    if (asked.has_check_out() || (asked.has_watch() && asked.watch().on())) visitor->wants.insert(there);
-    if (asked.has_release()) visitor->granted.erase(there);
+    noteAsked(*visitor, there, asked);
     visitor->asked.push_back({head.sequence, there, std::move(answer)});
     if (visitor->asked.size() > kAsked) visitor->asked.pop_front();
     if (!visitor->me.id.empty()) return pass(*visitor, std::move(message));
@@ -475,8 +560,18 @@ void PartnerCore::pass(Visitor& visitor, Waiting message) {
 }
 
 void PartnerCore::onClientUpdate(const std::string& entity, const std::string& client, ClientChange change) {
-    if (ofHome(entity) == nullptr) return;
-    end(client, change == ClientChange::Ended ? Ending::Orderly : Ending::Lost, {});
+    const auto* shown = ofHome(entity);
+    const auto found = visitors_.find(client);
+    if (shown == nullptr || found == visitors_.end()) return;
+    if (change == ClientChange::Lost) return end(client, Ending::Lost, {});
+    // A client that leaves is told of for each entity that it has asked, and one whose rights have become less
+    // for that entity only: what it uses besides goes on.
+    const bool withdrawn = withdraw(found->second, shown->names.there);
+    if (withdrawn && engaged(found->second)) return;
+    end(client, Ending::Orderly,
+        {RefusalCode::OutcomeUnknown,
+         "The server of this laboratory ended the use of " + shown->names.name + " while this was under way.",
+         {}});
 }
 
 void PartnerCore::onCommandOfStranger(const std::string& entity, const Header& head) {
@@ -528,7 +623,7 @@ void PartnerCore::onTimer() {
             mute.push_back(client);
             continue;
         }
-        const bool wants = !visitor.wants.empty();
+        const bool wants = engaged(visitor);
         if (!wants && now - visitor.used >= kIdle) idle.push_back(client);
         if (now < visitor.beats_at) continue;
         there_.keepAlive(visitor.session, ++visitor.beats);

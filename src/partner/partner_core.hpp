@@ -49,7 +49,7 @@ struct PartnerCoreSettings {
 /// Threads: one strand, on which the ports call back, too. Signals do not pass here: SignalRelay.
 /// Bounds: kWaitingMessages and kWaitingBytes for a visitor who is opening (then OVERLOADED), kAsked requests
 /// of each visitor whose refusals by the server there are answered, kHolders names of visitors who are gone,
-/// kEntities that are shown.
+/// kEntities that are shown, kStreams of an entity that a visitor watches by name (then: all of them).
 /// A visitor who has asked neither for an entity nor for a stream leaves after kIdle.
 class PartnerCore {
   public:
@@ -60,6 +60,7 @@ class PartnerCore {
     static constexpr std::size_t kAsked = 256;
     static constexpr std::size_t kHolders = 1024;
     static constexpr std::size_t kEntities = 1000;
+    static constexpr std::size_t kStreams = 64;
     static constexpr Duration kIdle = std::chrono::seconds{30};
     /// Call onTimer() this often: a fifth of the shortest watchdog of a client.
     static constexpr Duration kTurn = std::chrono::milliseconds{50};
@@ -135,8 +136,11 @@ class PartnerCore {
         std::deque<Waiting> waiting;
         std::size_t waiting_bytes = 0;
         std::deque<Asked> asked;
-        std::set<std::string> wants;  // entities there that it has asked for a check-out or a stream
-        std::map<std::string, LeaseNumber> granted;  // by entity there
+        // By entity there:
+        std::map<std::string, std::string> check_outs;  // that wait or are granted: request_id of the last
+        std::map<std::string, std::set<std::string>> watches;  // its streams; "" is all
+        std::map<std::string, LeaseNumber> granted;
+        std::set<std::string> busy;  // those that it holds and that do something
         TimePoint used{}, beats_at{};
         std::int64_t beats = 0;
         std::unique_ptr<Liveness> server;
@@ -152,7 +156,18 @@ class PartnerCore {
     void tellStatus(const Shown& entity);
     void hide(const std::string& there);
     Sender holderAtHome(const Sender& there) const;
-    void paceOf(Visitor& visitor);
+    /// The visitor of this id there.
+    Visitor* visitorThere(const std::string& id);
+    /// What the entity there says of its holder: whether it must be heard more often.
+    void paceOf(Visitor* visitor, const std::string& there, bool busy);
+    static bool engaged(const Visitor& visitor);
+    static bool engagedWith(const Visitor& visitor, const std::string& there);
+    static void noteAsked(Visitor& visitor, const std::string& there, const proto::ToEntity& asked);
+    /// This check-out was refused, or is aborted.
+    static void noteNotGranted(Visitor& visitor, const std::string& there, const std::string& request_id);
+    /// The client may not go on with this entity: what it has asked there is taken back, and the session
+    /// stays for what else it uses. False: too much waits for the server there.
+    bool withdraw(Visitor& visitor, const std::string& there);
     void pass(Visitor& visitor, Waiting message);
     void tell(const Shown& entity, const Sender& client, const char* type, Lane lane,
               const proto::ToClient& message);

@@ -449,6 +449,50 @@ TEST_F(PartnerCoreTest, WhoOnlyAskedSomethingOnceLeavesAgain) {
     EXPECT_THAT(there.left, ElementsAre(bob));
 }
 
+TEST_F(PartnerCoreTest, WhoIsRefusedHasReleasedOrWatchesNoLongerLeavesAgain) {
+    const auto leaves = [&](SessionNumber session) {
+        for (int i = 0; i < 32; ++i) {
+            core.onHeartbeat(watch);
+            core.onHeartbeat(session);
+            core.onHomeHeartbeat(kRobotHome);
+            pass(1s);
+        }
+        const bool left = !there.left.empty();
+        there.left.clear();
+        return left;
+    };
+    auto session = visit(kAnn, kAnnThere);
+    EXPECT_FALSE(leaves(session)) << "she waits for an answer";
+    proto::ToClient answer;
+    answer.mutable_check_out()->set_request_id("0123456789abcdef");
+    answer.mutable_check_out()->set_place(1);
+    fromThere(session, answer);
+    EXPECT_FALSE(leaves(session)) << "she waits for the robot";
+    answer.mutable_check_out()->mutable_refusal()->set_code(proto::ALREADY_HELD);
+    fromThere(session, answer);
+    EXPECT_TRUE(leaves(session)) << "refused";
+
+    session = visit(kAnn, kAnnThere);
+    answer.Clear();
+    answer.mutable_check_out()->set_request_id("0123456789abcdef");
+    answer.mutable_check_out()->mutable_lease()->set_number(5);
+    fromThere(session, answer);
+    EXPECT_FALSE(leaves(session)) << "she holds it";
+    answer.mutable_lease_ended();
+    fromThere(session, answer);
+    EXPECT_TRUE(leaves(session)) << "it has ended";
+
+    proto::ToEntity watching;
+    watching.mutable_watch()->set_on(true);
+    say(kAnn, kMsgWatch, watching);
+    session = there.opened.back().first;
+    core.onOpened(session, kAnnThere, {});
+    EXPECT_FALSE(leaves(session)) << "she watches";
+    watching.mutable_watch()->set_on(false);
+    say(kAnn, kMsgWatch, watching);
+    EXPECT_TRUE(leaves(session)) << "no longer";
+}
+
 TEST_F(PartnerCoreTest, AResetOfWhoHoldsNothingIsRefusedBySignal) {
     Header head;
     head.sender = kBob;
