@@ -165,6 +165,7 @@ Gateway::Gateway(GatewaySettings settings, const Clock& clock)
       clock_(clock),
       strand_(asio::make_strand(executor_)),
       home_ice_(std::make_shared<entity_manager::ServerCommunicators>(1, 1, settings_.home_properties)),
+      signals_(clock),
       core_(settings_.core, clock, *this, *this, signals_,
             [](const std::string& line) { spdlog::info("{}", line); }),
       timer_(strand_, clock_) {}
@@ -382,8 +383,8 @@ std::shared_ptr<const client::ServerConnection> Gateway::connectionOf(SessionNum
     return found == sessions_.end() ? nullptr : found->second->connection;
 }
 
-void Gateway::watches(SessionNumber session) {
-    if (const auto its = connectionOf(session)) signals_.watch(its->me(), {its, its});
+void Gateway::stopsBy(SessionNumber session) {
+    if (const auto its = connectionOf(session)) signals_.stopBy(its->me(), its);
 }
 
 void Gateway::visits(SessionNumber session, const Sender& client) {

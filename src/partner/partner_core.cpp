@@ -33,6 +33,20 @@ void setRefusal(proto::ToClient& answer, const Refusal& refusal) {
 
 void PartnerCore::start() {
     openWatch();
+    openStops();
+}
+
+void PartnerCore::openStops() {
+    stops_again_ = TimePoint::max();
+    stops_ = ++last_session_;
+    there_.open(stops_, settings_.home, TherePort::Use::Stops);
+}
+
+void PartnerCore::endStops() {
+    signals_.noStopBy();
+    if (stops_ != 0) there_.drop(std::exchange(stops_, 0));
+    stops_heard_.reset();
+    if (!stopped_) stops_again_ = clock_.now() + stops_backoff_.next();
 }
 
 void PartnerCore::openWatch() {
@@ -46,8 +60,10 @@ void PartnerCore::stop() {
     watch_again_ = TimePoint::max();
     while (!visitors_.empty()) end(std::string(visitors_.begin()->first), Ending::Orderly, {});
     while (!entities_.empty()) hide(std::string(entities_.begin()->first));
-    signals_.unwatch();
+    signals_.noStopBy();
+    stops_again_ = TimePoint::max();
     if (watch_ != 0) there_.leave(std::exchange(watch_, 0));
+    if (stops_ != 0) there_.leave(std::exchange(stops_, 0));
     watcher_ = {};
 }
 
@@ -71,13 +87,19 @@ PartnerCore::Visitor* PartnerCore::visitorOf(SessionNumber session) {
 
 void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client::Watchdogs& watchdogs) {
     const auto now = clock_.now();
+    if (session == stops_) {
+        stops_heard_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
+        stops_beats_at_ = now;
+        stops_backoff_.reset();
+        stops_noted_ = false;
+        return there_.stopsBy(session);
+    }
     if (session == watch_) {
         watcher_ = me;
         watched_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
         watch_beats_at_ = now;
         backoff_.reset();
         last_failure_.clear();
-        there_.watches(session);
         note_("watching laboratory " + settings_.laboratory + " as " + inQuotes(me.name) + ", " +
               toString(me.role));
         return;
@@ -95,6 +117,13 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
 }
 
 void PartnerCore::onRefused(SessionNumber session, const Refusal& refusal) {
+    if (session == stops_) {
+        stops_ = 0;  // there is none that could be ended
+        if (!watcher_.id.empty() && !std::exchange(stops_noted_, true))
+            note_("stops of clients without a session are not passed on: laboratory " + settings_.laboratory +
+                  " gives none for them (" + refusal.message + "); trying again until it does");
+        return endStops();
+    }
     if (session == watch_) {
         if (last_failure_ != refusal.message) {
             last_failure_ = refusal.message;
@@ -114,6 +143,7 @@ void PartnerCore::onRefused(SessionNumber session, const Refusal& refusal) {
 }
 
 void PartnerCore::onClosed(SessionNumber session, const std::string& reason) {
+    if (session == stops_) return endStops();
     if (session == watch_) return lose(reason);
     const auto* visitor = visitorOf(session);
     if (visitor == nullptr) return;
@@ -132,7 +162,6 @@ void PartnerCore::lose(const std::string& why) {
     const bool was_up = !watcher_.id.empty();
     const auto session = std::exchange(watch_, 0);
     watcher_ = {};
-    signals_.unwatch();
     if (session != 0) there_.drop(session);
     const Refusal lost{RefusalCode::OutcomeUnknown,
                        "Laboratory " + settings_.laboratory + " was lost while it was under way: " + why,
@@ -148,6 +177,8 @@ void PartnerCore::onHeartbeat(SessionNumber session) {
     const auto now = clock_.now();
     if (session == watch_) {
         if (watched_) watched_->heard(now);
+    } else if (session == stops_) {
+        if (stops_heard_) stops_heard_->heard(now);
     } else if (auto* visitor = visitorOf(session); visitor != nullptr && visitor->server) {
         visitor->server->heard(now);
     }
@@ -337,8 +368,8 @@ void PartnerCore::onEntityMsg(SessionNumber session, Lane lane, bool droppable, 
     its.entity = shown->names.home;
     proto::ToClient message;
     if (!droppable && !message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
-    if (session == watch_) {
-        // Nobody but a stop of somebody without a session is answered there.
+    if (session == stops_) {
+        // What else comes there is for nobody.
         if (droppable || !message.has_receipt()) return;
         const auto client = signals_.translate(*message.mutable_receipt());
         if (!client) return;
@@ -609,6 +640,12 @@ void PartnerCore::onTimer() {
     const auto now = clock_.now();
     if (stopped_) return;
     if (now >= watch_again_) openWatch();
+    if (now >= stops_again_) openStops();
+    if (stops_heard_ && stops_heard_->expired(now)) endStops();
+    if (stops_heard_ && now >= stops_beats_at_) {
+        there_.keepAlive(stops_, ++stops_beats_);
+        stops_beats_at_ = now + kIdleBeat;
+    }
     if (!watcher_.id.empty()) {
         if (watched_->expired(now)) return lose("its server has been silent for too long");
         if (now >= watch_beats_at_) {

@@ -43,7 +43,8 @@ struct PartnerCoreSettings {
 /// States: without the session that watches (nothing is shown, and it is opened again and again, 100 ms to 2
 /// s apart), with it. A visitor is opening, up or gone. When a session there is lost or silent, its client is
 /// lost there, and its robots stop. When the session that watches is, all sessions there end and every entity
-/// leaves home. When the server at home is lost or silent, the visitors who asked for that entity are
+/// leaves home. The session for stops of clients without one of their own is opened again in the same way, and
+/// its end ends nothing else. When the server at home is lost or silent, the visitors who asked for that entity are
 /// dropped, for the same reason.
 ///
 /// Threads: one strand, on which the ports call back, too. Signals do not pass here: SignalRelay.
@@ -74,7 +75,7 @@ class PartnerCore {
           signals_(signals),
           note_(std::move(note)) {}
 
-    /// Opens the session that watches.
+    /// Opens the session that watches, and that for stops.
     void start();
     /// Ends all sessions in order: what visitors hold is released.
     void stop();
@@ -178,6 +179,8 @@ class PartnerCore {
     /// Nothing is shown and nobody visits until there is another session that watches.
     void lose(const std::string& why);
     void openWatch();
+    void openStops();
+    void endStops();
     /// Returns whether it changed.
     bool translate(const Shown& entity, Visitor& visitor, Lane lane, proto::ToClient& message);
 
@@ -197,6 +200,13 @@ class PartnerCore {
     TimePoint watch_beats_at_{};
     TimePoint watch_again_ = TimePoint::max();
     Backoff backoff_{std::chrono::milliseconds{100}, std::chrono::seconds{2}};
+    SessionNumber stops_ = 0;               // opening, or up
+    std::unique_ptr<Liveness> stops_heard_; // null: not up
+    std::int64_t stops_beats_ = 0;
+    TimePoint stops_beats_at_{};
+    TimePoint stops_again_ = TimePoint::max();
+    Backoff stops_backoff_{std::chrono::milliseconds{100}, std::chrono::seconds{2}};
+    bool stops_noted_ = false;  // that there is none
     std::string last_failure_;  // that was noted
 
     std::map<std::string, Shown> entities_;        // by UUID there

@@ -52,10 +52,13 @@ struct Home final : HomePort {
 
 struct There final : TherePort {
     void open(SessionNumber session, const std::string& name, Use use) override {
-        EXPECT_EQ(use == Use::Watch, !name.starts_with("a@"));
-        opened.emplace_back(session, name);
+        EXPECT_EQ(use != Use::Visit, !name.starts_with("a@"));
+        if (use == Use::Stops)
+            for_stops.push_back(session);
+        else
+            opened.emplace_back(session, name);
     }
-    void watches(SessionNumber session) override { watching = session; }
+    void stopsBy(SessionNumber session) override { stopping.push_back(session); }
     void visits(SessionNumber session, const Sender& client) override { visiting[session] = client.id; }
     bool send(SessionNumber session, client::Operation operation, const Header& head,
               std::string bytes) override {
@@ -67,7 +70,8 @@ struct There final : TherePort {
     void leave(SessionNumber session) override { left.push_back(session); }
     void drop(SessionNumber session) override { dropped.push_back(session); }
     std::vector<std::pair<SessionNumber, std::string>> opened;
-    SessionNumber watching = 0;
+    std::vector<SessionNumber> for_stops;  // opened for strangers' stops
+    std::vector<SessionNumber> stopping;   // that take them
     std::map<SessionNumber, std::string> visiting;
     bool full = false;
     std::vector<ToThere> sent;
@@ -85,7 +89,7 @@ struct PartnerCoreTest : testing::Test {
     ManualClock clock;
     Home home;
     There there;
-    SignalRelay signals;
+    SignalRelay signals{clock};
     std::vector<std::string> notes;
     PartnerCore core{{"b", "a", 2}, clock,   home,
                      there,         signals, [this](const auto& line) { notes.push_back(line); }};
@@ -95,6 +99,7 @@ struct PartnerCoreTest : testing::Test {
         core.start();
         watch = there.opened.back().first;
         core.onOpened(watch, {"w", "lab-a", Role::Operator}, {});
+        core.onOpened(there.for_stops.back(), {"s", "lab-a", Role::Operator}, {});
         robot(kRobot, "PeopleBot");
         core.onStatus(watch, statusOf({}, EntityState::IDLE));
         core.onHomeUp(kRobotHome);
@@ -641,10 +646,36 @@ TEST_F(PartnerCoreTest, AnEntityThatIsHeldAlreadyWhenItHasToBeGivenUpIsReleased)
     EXPECT_TRUE(told.has_release());
 }
 
+TEST_F(PartnerCoreTest, TheSessionForStrangersStopsEndsAloneAndIsOpenedAgain) {
+    const auto ann = visit(kAnn, kAnnThere);
+    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0]));
+    core.onClosed(there.for_stops[0], "flooded");
+    EXPECT_THAT(there.dropped, ElementsAre(there.for_stops[0]));
+    EXPECT_THAT(home.left, IsEmpty());
+    EXPECT_EQ(core.visitors(), 1U);
+    pass(200ms);
+    ASSERT_EQ(there.for_stops.size(), 2U);
+    core.onRefused(there.for_stops[1], {RefusalCode::Overloaded, "full", {}});
+    EXPECT_THAT(notes, testing::Contains(HasSubstr("stops of clients without a session")));
+    pass(400ms);
+    ASSERT_EQ(there.for_stops.size(), 3U);
+    core.onOpened(there.for_stops[2], {"s2", "lab-a", Role::Operator}, {});
+    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0], there.for_stops[2]));
+    // It beats, and its own silence ends only itself.
+    for (int i = 0; i < 11; ++i) {
+        for (const auto session : {watch, ann}) core.onHeartbeat(session);
+        core.onHomeHeartbeat(kRobotHome);
+        pass(1s);
+    }
+    EXPECT_GT(there.beats[there.for_stops[2]], 4);
+    EXPECT_THAT(there.dropped, ElementsAre(there.for_stops[0], there.for_stops[2]));
+    EXPECT_EQ(core.visitors(), 1U);
+}
+
 TEST_F(PartnerCoreTest, TheOrderlyEndReleasesWhatIsHeld) {
     const auto ann = visit(kAnn, kAnnThere);
     core.stop();
-    EXPECT_THAT(there.left, ElementsAre(ann, watch));
+    EXPECT_THAT(there.left, ElementsAre(ann, watch, there.for_stops[0]));
     EXPECT_THAT(home.left, ElementsAre(kRobotHome));
     core.onClosed(watch, "left");
     pass(5s);
