@@ -165,6 +165,7 @@ Gateway::Gateway(GatewaySettings settings, const Clock& clock)
       clock_(clock),
       strand_(asio::make_strand(executor_)),
       home_ice_(std::make_shared<entity_manager::ServerCommunicators>(1, 1, settings_.home_properties)),
+      signals_(clock),
       core_(settings_.core, clock, *this, *this, signals_,
             [](const std::string& line) { spdlog::info("{}", line); }),
       timer_(strand_, clock_) {}
@@ -246,11 +247,11 @@ void Gateway::stopSignal(const ShownEntity& entity, const Header& head, StopCaus
     if (cause != StopCause::Requested && cause != StopCause::Drill) {
         // The client is gone from home. What that means for a running task, the Entity Manager decides, so
         // its session there ends in the same way.
-        if (const auto connection = connectionOf(client)) {
-            if (cause == StopCause::Released) return leaveSoon(connection);
-            return connection->drop();
-        }
-        if (signals_.hasVisited(client)) return;  // its session there has ended already, for another entity
+        // Without a session there it holds nothing: it has ended already, for another entity, or this is
+        // somebody of the partner's, whom a server at home knows only as the holder and takes for gone.
+        const auto connection = connectionOf(client);
+        if (!connection) return;
+        return cause == StopCause::Released ? leaveSoon(connection) : connection->drop();
     }
     if (!signals_.stop(entity.there, head, cause))
         spdlog::warn("a stop of {} for {} was not passed on: there is no session in its laboratory",
@@ -382,8 +383,8 @@ std::shared_ptr<const client::ServerConnection> Gateway::connectionOf(SessionNum
     return found == sessions_.end() ? nullptr : found->second->connection;
 }
 
-void Gateway::watches(SessionNumber session) {
-    if (const auto its = connectionOf(session)) signals_.watch(its->me(), {its, its});
+void Gateway::stopsBy(SessionNumber session) {
+    if (const auto its = connectionOf(session)) signals_.stopBy(its->me(), its);
 }
 
 void Gateway::visits(SessionNumber session, const Sender& client) {

@@ -81,7 +81,7 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
 
     // TherePort, on the strand.
     void open(SessionNumber session, const std::string& display_name, Use use) override;
-    void watches(SessionNumber session) override;
+    void stopsBy(SessionNumber session) override;
     void visits(SessionNumber session, const Sender& client) override;
     bool send(SessionNumber session, client::Operation operation, const Header& head,
               std::string bytes) override;

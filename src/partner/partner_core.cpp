@@ -33,6 +33,20 @@ void setRefusal(proto::ToClient& answer, const Refusal& refusal) {
 
 void PartnerCore::start() {
     openWatch();
+    openStops();
+}
+
+void PartnerCore::openStops() {
+    stops_again_ = TimePoint::max();
+    stops_ = ++last_session_;
+    there_.open(stops_, settings_.home, TherePort::Use::Stops);
+}
+
+void PartnerCore::endStops() {
+    signals_.noStopBy();
+    if (stops_ != 0) there_.drop(std::exchange(stops_, 0));
+    stops_heard_.reset();
+    if (!stopped_) stops_again_ = clock_.now() + stops_backoff_.next();
 }
 
 void PartnerCore::openWatch() {
@@ -46,8 +60,10 @@ void PartnerCore::stop() {
     watch_again_ = TimePoint::max();
     while (!visitors_.empty()) end(std::string(visitors_.begin()->first), Ending::Orderly, {});
     while (!entities_.empty()) hide(std::string(entities_.begin()->first));
-    signals_.unwatch();
+    signals_.noStopBy();
+    stops_again_ = TimePoint::max();
     if (watch_ != 0) there_.leave(std::exchange(watch_, 0));
+    if (stops_ != 0) there_.leave(std::exchange(stops_, 0));
     watcher_ = {};
 }
 
@@ -71,13 +87,19 @@ PartnerCore::Visitor* PartnerCore::visitorOf(SessionNumber session) {
 
 void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client::Watchdogs& watchdogs) {
     const auto now = clock_.now();
+    if (session == stops_) {
+        stops_heard_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
+        stops_beats_at_ = now;
+        stops_backoff_.reset();
+        stops_noted_ = false;
+        return there_.stopsBy(session);
+    }
     if (session == watch_) {
         watcher_ = me;
         watched_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
         watch_beats_at_ = now;
         backoff_.reset();
         last_failure_.clear();
-        there_.watches(session);
         note_("watching laboratory " + settings_.laboratory + " as " + inQuotes(me.name) + ", " +
               toString(me.role));
         return;
@@ -87,11 +109,7 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
     visitor->me = me;
     visitor->server = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
     visitor->beats_at = now;
-    if (holders_.emplace(me.id, visitor->client).second) holders_order_.push_back(me.id);
-    if (holders_order_.size() > kHolders) {
-        holders_.erase(holders_order_.front());
-        holders_order_.pop_front();
-    }
+    holders_[me.id] = visitor->client;
     there_.visits(session, visitor->client);
     auto waiting = std::exchange(visitor->waiting, {});
     visitor->waiting_bytes = 0;
@@ -99,6 +117,13 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
 }
 
 void PartnerCore::onRefused(SessionNumber session, const Refusal& refusal) {
+    if (session == stops_) {
+        stops_ = 0;  // there is none that could be ended
+        if (!watcher_.id.empty() && !std::exchange(stops_noted_, true))
+            note_("stops of clients without a session are not passed on: laboratory " + settings_.laboratory +
+                  " gives none for them (" + refusal.message + "); trying again until it does");
+        return endStops();
+    }
     if (session == watch_) {
         if (last_failure_ != refusal.message) {
             last_failure_ = refusal.message;
@@ -118,14 +143,18 @@ void PartnerCore::onRefused(SessionNumber session, const Refusal& refusal) {
 }
 
 void PartnerCore::onClosed(SessionNumber session, const std::string& reason) {
+    if (session == stops_) return endStops();
     if (session == watch_) return lose(reason);
     const auto* visitor = visitorOf(session);
     if (visitor == nullptr) return;
-    end(std::string(visitor->client.id), Ending::Lost,
-        {RefusalCode::OutcomeUnknown,
-         "The session of this client in laboratory " + settings_.laboratory +
-             " was lost while it was under way: " + reason,
-         {}});
+    end(std::string(visitor->client.id), Ending::Lost, lostSession(reason));
+}
+
+Refusal PartnerCore::lostSession(const std::string& why) const {
+    return {RefusalCode::OutcomeUnknown,
+            "The session of this client in laboratory " + settings_.laboratory +
+                " was lost while it was under way: " + why,
+            {}};
 }
 
 void PartnerCore::lose(const std::string& why) {
@@ -133,7 +162,6 @@ void PartnerCore::lose(const std::string& why) {
     const bool was_up = !watcher_.id.empty();
     const auto session = std::exchange(watch_, 0);
     watcher_ = {};
-    signals_.unwatch();
     if (session != 0) there_.drop(session);
     const Refusal lost{RefusalCode::OutcomeUnknown,
                        "Laboratory " + settings_.laboratory + " was lost while it was under way: " + why,
@@ -149,6 +177,8 @@ void PartnerCore::onHeartbeat(SessionNumber session) {
     const auto now = clock_.now();
     if (session == watch_) {
         if (watched_) watched_->heard(now);
+    } else if (session == stops_) {
+        if (stops_heard_) stops_heard_->heard(now);
     } else if (auto* visitor = visitorOf(session); visitor != nullptr && visitor->server) {
         visitor->server->heard(now);
     }
@@ -205,9 +235,10 @@ void PartnerCore::hide(const std::string& there) {
     there_of_.erase(home);
     entities_.erase(found);
     for (auto& [client, visitor] : visitors_) {
-        visitor.wants.erase(there);
+        visitor.check_outs.erase(there);
+        visitor.watches.erase(there);
         visitor.granted.erase(there);
-        paceOf(visitor);
+        if (visitor.busy.contains(there)) paceOf(&visitor, there, false);
     }
     home_.leave(home);
 }
@@ -217,9 +248,18 @@ void PartnerCore::onStatus(SessionNumber session, const EntityStatus& status) {
     if (session != watch_) return;
     auto* shown = ofThere(status.entity);
     if (shown == nullptr) return;
+    const auto before = shown->status ? shown->status->holder.id : std::string{};
     shown->status = status;
     if (shown->up) tellStatus(*shown);
-    for (auto& [client, visitor] : visitors_) paceOf(visitor);
+    if (before != status.holder.id) paceOf(visitorThere(before), status.entity, false);
+    paceOf(visitorThere(status.holder.id), status.entity, status.state == EntityState::BUSY);
+}
+
+PartnerCore::Visitor* PartnerCore::visitorThere(const std::string& id) {
+    const auto client = holders_.find(id);
+    if (client == holders_.end()) return nullptr;
+    const auto found = visitors_.find(client->second.id);
+    return found == visitors_.end() || found->second.me.id != id ? nullptr : &found->second;
 }
 
 Sender PartnerCore::holderAtHome(const Sender& there) const {
@@ -242,15 +282,81 @@ void PartnerCore::tellStatus(const Shown& entity) {
     home_.tellStatus(its);
 }
 
-void PartnerCore::paceOf(Visitor& visitor) {
-    if (!visitor.server) return;
-    const bool busy = std::any_of(entities_.begin(), entities_.end(), [&](const auto& one) {
-        const auto& status = one.second.status;
-        return status && status->state == EntityState::BUSY && status->holder.id == visitor.me.id;
-    });
+void PartnerCore::paceOf(Visitor* visitor, const std::string& there, bool busy) {
+    if (visitor == nullptr || !visitor->server) return;
+    if (busy)
+        visitor->busy.insert(there);
+    else
+        visitor->busy.erase(there);
     const auto now = clock_.now();
-    if (busy && !visitor.server->busy()) visitor.server->heard(now);
-    visitor.server->setBusy(busy, now);
+    const bool any = !visitor->busy.empty();
+    if (any && !visitor->server->busy()) visitor->server->heard(now);
+    visitor->server->setBusy(any, now);
+}
+
+bool PartnerCore::engaged(const Visitor& visitor) {
+    return !visitor.check_outs.empty() || !visitor.watches.empty() || !visitor.granted.empty() ||
+           !visitor.busy.empty();
+}
+
+bool PartnerCore::engagedWith(const Visitor& visitor, const std::string& there) {
+    return visitor.check_outs.contains(there) || visitor.watches.contains(there) ||
+           visitor.granted.contains(there) || visitor.busy.contains(there);
+}
+
+void PartnerCore::noteAsked(Visitor& visitor, const std::string& there, const proto::ToEntity& asked) {
+    if (asked.has_check_out() && asked.check_out().phase() != proto::ABORT)
+        visitor.check_outs[there] = asked.check_out().request_id();
+    if (asked.has_release()) visitor.granted.erase(there);  // the rest when it has ended
+    if (!asked.has_watch()) return;
+    const auto& watch = asked.watch();
+    if (watch.on()) {
+        auto& streams = visitor.watches[there];
+        if (watch.streams().empty()) streams = {std::string{}};
+        for (const auto& stream : watch.streams()) streams.insert(stream);
+        if (streams.size() > kStreams) streams = {std::string{}};
+    } else if (const auto its = visitor.watches.find(there); its != visitor.watches.end()) {
+        for (const auto& stream : watch.streams()) its->second.erase(stream);
+        if (watch.streams().empty() || its->second.empty()) visitor.watches.erase(its);
+    }
+}
+
+void PartnerCore::noteNotGranted(Visitor& visitor, const std::string& there, const std::string& request_id) {
+    if (visitor.granted.contains(there)) return;
+    if (const auto its = visitor.check_outs.find(there);
+        its != visitor.check_outs.end() && its->second == request_id)
+        visitor.check_outs.erase(its);
+}
+
+bool PartnerCore::withdraw(Visitor& visitor, const std::string& there) {
+    const auto say = [&](const char* type, LeaseNumber held, const proto::ToEntity& message) {
+        Waiting its;
+        its.head.entity = there;
+        its.head.msg_type = type;
+        its.head.held = held;
+        its.head.sent_at_us = toMicroseconds(clock_.now());
+        its.bytes = message.SerializeAsString();
+        if (!visitor.me.id.empty())
+            return there_.send(visitor.session, client::Operation::ToEntity, its.head, std::move(its.bytes));
+        visitor.waiting_bytes += its.bytes.size();
+        visitor.waiting.push_back(std::move(its));
+        return true;
+    };
+    bool said = true;
+    proto::ToEntity message;
+    if (const auto granted = visitor.granted.find(there); granted != visitor.granted.end()) {
+        message.mutable_release();
+        said = say(kMsgRelease, granted->second, message);
+        visitor.granted.erase(granted);
+    } else if (const auto asked = visitor.check_outs.find(there); asked != visitor.check_outs.end()) {
+        message.mutable_check_out()->set_request_id(asked->second);
+        message.mutable_check_out()->set_phase(proto::ABORT);
+        said = say(kMsgCheckOut, {}, message);
+    }
+    visitor.check_outs.erase(there);
+    if (visitor.watches.erase(there) == 0) return said;
+    message.mutable_watch()->set_on(false);
+    return say(kMsgWatch, {}, message) && said;
 }
 
 void PartnerCore::onEntityMsg(SessionNumber session, Lane lane, bool droppable, const Header& head,
@@ -262,8 +368,8 @@ void PartnerCore::onEntityMsg(SessionNumber session, Lane lane, bool droppable, 
     its.entity = shown->names.home;
     proto::ToClient message;
     if (!droppable && !message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
-    if (session == watch_) {
-        // Nobody but a stop of somebody without a session is answered there.
+    if (session == stops_) {
+        // What else comes there is for nobody.
         if (droppable || !message.has_receipt()) return;
         const auto client = signals_.translate(*message.mutable_receipt());
         if (!client) return;
@@ -296,12 +402,20 @@ bool PartnerCore::translate(const Shown& entity, Visitor& visitor, Lane lane, pr
             service.set_entity_id(entity.names.home);
         return true;
     }
-    if (message.has_lease_ended()) visitor.granted.erase(there);
+    if (message.has_lease_ended()) {
+        visitor.granted.erase(there);
+        visitor.check_outs.erase(there);
+    }
     if (!message.has_check_out()) return false;
     auto& reply = *message.mutable_check_out();
-    if (reply.has_lease())
+    const bool refused = reply.has_refusal() && reply.refusal().code() != proto::OK;
+    if (reply.has_lease()) {
         visitor.granted[there] = {static_cast<std::int32_t>(reply.lease().epoch()),
                                   static_cast<std::int32_t>(reply.lease().number())};
+        visitor.check_outs[there] = reply.request_id();
+    } else if (refused || reply.phase() == proto::ABORT) {
+        noteNotGranted(visitor, there, reply.request_id());
+    }
     // They lead past this gateway, to where the client is nobody.
     reply.clear_datagram_endpoint();
     reply.clear_direct_endpoint();
@@ -347,6 +461,8 @@ void PartnerCore::tell(const Shown& entity, const Sender& client, const char* ty
 void PartnerCore::refuse(const Shown& entity, const Sender& client, proto::ToClient answer,
                          const Refusal& refusal) {
     setRefusal(answer, refusal);
+    if (const auto visitor = visitors_.find(client.id); visitor != visitors_.end() && answer.has_check_out())
+        noteNotGranted(visitor->second, entity.names.there, answer.check_out().request_id());
     tell(entity, client, answer.has_check_out() ? kMsgCheckOut : kMsgReply, Lane::Data, answer);
 }
 
@@ -370,7 +486,7 @@ void PartnerCore::onHomeDown(const std::string& entity, const std::string& reaso
     // Nobody tells these clients from now on whether they still live.
     std::vector<std::string> lost;
     for (const auto& [client, visitor] : visitors_)
-        if (visitor.wants.contains(shown->names.there)) lost.push_back(client);
+        if (engagedWith(visitor, shown->names.there)) lost.push_back(client);
     for (const auto& client : lost) end(client, Ending::Lost, {});
     if (!lost.empty())
         note_("the server at home is lost (" + reason + "): " + std::to_string(lost.size()) +
@@ -391,7 +507,9 @@ void PartnerCore::onClientMsg(const std::string& entity, bool droppable, const H
     message.head.entity = shown->names.there;
     message.head.sender = {};
     if (droppable) {
-        if (visitor != nullptr && !visitor->me.id.empty()) pass(*visitor, std::move(message));
+        // An Entity Manager carries out whatever is in it, so only what no role is asked about passes unread;
+        // that the body is what the type says, the Entity Manager sees to.
+        if (head.msg_type == kMsgRaw && visitor != nullptr && !visitor->me.id.empty()) pass(*visitor, std::move(message));
         return;
     }
     proto::ToEntity asked;
@@ -423,8 +541,7 @@ void PartnerCore::onClientMsg(const std::string& entity, bool droppable, const H
                            {}});
     }
     visitor->used = clock_.now();
-    if (asked.has_check_out() || (asked.has_watch() && asked.watch().on())) visitor->wants.insert(there);
-    if (asked.has_release()) visitor->granted.erase(there);
+    noteAsked(*visitor, there, asked);
     visitor->asked.push_back({head.sequence, there, std::move(answer)});
     if (visitor->asked.size() > kAsked) visitor->asked.pop_front();
     if (!visitor->me.id.empty()) return pass(*visitor, std::move(message));
@@ -474,8 +591,18 @@ void PartnerCore::pass(Visitor& visitor, Waiting message) {
 }
 
 void PartnerCore::onClientUpdate(const std::string& entity, const std::string& client, ClientChange change) {
-    if (ofHome(entity) == nullptr) return;
-    end(client, change == ClientChange::Ended ? Ending::Orderly : Ending::Lost, {});
+    const auto* shown = ofHome(entity);
+    const auto found = visitors_.find(client);
+    if (shown == nullptr || found == visitors_.end()) return;
+    if (change == ClientChange::Lost) return end(client, Ending::Lost, {});
+    // A client that leaves is told of for each entity that it has asked, and one whose rights have become less
+    // for that entity only: what it uses besides goes on.
+    const bool withdrawn = withdraw(found->second, shown->names.there);
+    if (withdrawn && engaged(found->second)) return;
+    end(client, Ending::Orderly,
+        {RefusalCode::OutcomeUnknown,
+         "The server of this laboratory ended the use of " + shown->names.name + " while this was under way.",
+         {}});
 }
 
 void PartnerCore::onCommandOfStranger(const std::string& entity, const Header& head) {
@@ -496,6 +623,11 @@ void PartnerCore::end(const std::string& client, Ending ending, const Refusal& w
     visitors_.erase(found);
     clients_of_.erase(visitor.session);
     signals_.end(client);
+    if (!visitor.me.id.empty()) gone_holders_.push_back(visitor.me.id);
+    if (gone_holders_.size() > kHolders) {
+        holders_.erase(gone_holders_.front());
+        gone_holders_.pop_front();
+    }
     ending == Ending::Orderly ? there_.leave(visitor.session) : there_.drop(visitor.session);
     if (why.ok()) return;
     // Whatever was answered already is settled at the client, who does not look at another answer.
@@ -508,6 +640,12 @@ void PartnerCore::onTimer() {
     const auto now = clock_.now();
     if (stopped_) return;
     if (now >= watch_again_) openWatch();
+    if (now >= stops_again_) openStops();
+    if (stops_heard_ && stops_heard_->expired(now)) endStops();
+    if (stops_heard_ && now >= stops_beats_at_) {
+        there_.keepAlive(stops_, ++stops_beats_);
+        stops_beats_at_ = now + kIdleBeat;
+    }
     if (!watcher_.id.empty()) {
         if (watched_->expired(now)) return lose("its server has been silent for too long");
         if (now >= watch_beats_at_) {
@@ -515,17 +653,21 @@ void PartnerCore::onTimer() {
             watch_beats_at_ = now + kIdleBeat;
         }
     }
-    std::vector<std::string> idle;
+    std::vector<std::string> idle, mute;
     for (auto& [client, visitor] : visitors_) {
         if (visitor.me.id.empty()) continue;
-        if (visitor.server->expired(now)) return lose("its server has been silent for too long");
-        const bool wants = !visitor.wants.empty();
+        if (visitor.server->expired(now)) {
+            mute.push_back(client);
+            continue;
+        }
+        const bool wants = engaged(visitor);
         if (!wants && now - visitor.used >= kIdle) idle.push_back(client);
         if (now < visitor.beats_at) continue;
         there_.keepAlive(visitor.session, ++visitor.beats);
         visitor.beats_at = now + (wants ? kTurn : kIdleBeat);
     }
     for (const auto& client : idle) end(client, Ending::Orderly, {});
+    for (const auto& client : mute) end(client, Ending::Lost, lostSession("its server was silent for too long"));
     std::vector<std::string> silent;
     for (auto& [there, shown] : entities_) {
         if (!shown.up) continue;

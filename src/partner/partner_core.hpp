@@ -43,13 +43,14 @@ struct PartnerCoreSettings {
 /// States: without the session that watches (nothing is shown, and it is opened again and again, 100 ms to 2
 /// s apart), with it. A visitor is opening, up or gone. When a session there is lost or silent, its client is
 /// lost there, and its robots stop. When the session that watches is, all sessions there end and every entity
-/// leaves home. When the server at home is lost or silent, the visitors who asked for that entity are
+/// leaves home. The session for stops of clients without one of their own is opened again in the same way, and
+/// its end ends nothing else. When the server at home is lost or silent, the visitors who asked for that entity are
 /// dropped, for the same reason.
 ///
 /// Threads: one strand, on which the ports call back, too. Signals do not pass here: SignalRelay.
 /// Bounds: kWaitingMessages and kWaitingBytes for a visitor who is opening (then OVERLOADED), kAsked requests
 /// of each visitor whose refusals by the server there are answered, kHolders names of visitors who are gone,
-/// kEntities that are shown.
+/// kEntities that are shown, kStreams of an entity that a visitor watches by name (then: all of them).
 /// A visitor who has asked neither for an entity nor for a stream leaves after kIdle.
 class PartnerCore {
   public:
@@ -60,6 +61,7 @@ class PartnerCore {
     static constexpr std::size_t kAsked = 256;
     static constexpr std::size_t kHolders = 1024;
     static constexpr std::size_t kEntities = 1000;
+    static constexpr std::size_t kStreams = 64;
     static constexpr Duration kIdle = std::chrono::seconds{30};
     /// Call onTimer() this often: a fifth of the shortest watchdog of a client.
     static constexpr Duration kTurn = std::chrono::milliseconds{50};
@@ -73,7 +75,7 @@ class PartnerCore {
           signals_(signals),
           note_(std::move(note)) {}
 
-    /// Opens the session that watches.
+    /// Opens the session that watches, and that for stops.
     void start();
     /// Ends all sessions in order: what visitors hold is released.
     void stop();
@@ -135,8 +137,11 @@ class PartnerCore {
         std::deque<Waiting> waiting;
         std::size_t waiting_bytes = 0;
         std::deque<Asked> asked;
-        std::set<std::string> wants;  // entities there that it has asked for a check-out or a stream
-        std::map<std::string, LeaseNumber> granted;  // by entity there
+        // By entity there:
+        std::map<std::string, std::string> check_outs;  // that wait or are granted: request_id of the last
+        std::map<std::string, std::set<std::string>> watches;  // its streams; "" is all
+        std::map<std::string, LeaseNumber> granted;
+        std::set<std::string> busy;  // those that it holds and that do something
         TimePoint used{}, beats_at{};
         std::int64_t beats = 0;
         std::unique_ptr<Liveness> server;
@@ -152,16 +157,30 @@ class PartnerCore {
     void tellStatus(const Shown& entity);
     void hide(const std::string& there);
     Sender holderAtHome(const Sender& there) const;
-    void paceOf(Visitor& visitor);
+    /// The visitor of this id there.
+    Visitor* visitorThere(const std::string& id);
+    /// What the entity there says of its holder: whether it must be heard more often.
+    void paceOf(Visitor* visitor, const std::string& there, bool busy);
+    static bool engaged(const Visitor& visitor);
+    static bool engagedWith(const Visitor& visitor, const std::string& there);
+    static void noteAsked(Visitor& visitor, const std::string& there, const proto::ToEntity& asked);
+    /// This check-out was refused, or is aborted.
+    static void noteNotGranted(Visitor& visitor, const std::string& there, const std::string& request_id);
+    /// The client may not go on with this entity: what it has asked there is taken back, and the session
+    /// stays for what else it uses. False: too much waits for the server there.
+    bool withdraw(Visitor& visitor, const std::string& there);
     void pass(Visitor& visitor, Waiting message);
     void tell(const Shown& entity, const Sender& client, const char* type, Lane lane,
               const proto::ToClient& message);
     void refuse(const Shown& entity, const Sender& client, proto::ToClient answer, const Refusal& refusal);
     /// `why`: what its requests are refused with; OK: it is gone from home, too.
     void end(const std::string& client, Ending ending, const Refusal& why);
+    Refusal lostSession(const std::string& why) const;
     /// Nothing is shown and nobody visits until there is another session that watches.
     void lose(const std::string& why);
     void openWatch();
+    void openStops();
+    void endStops();
     /// Returns whether it changed.
     bool translate(const Shown& entity, Visitor& visitor, Lane lane, proto::ToClient& message);
 
@@ -181,6 +200,13 @@ class PartnerCore {
     TimePoint watch_beats_at_{};
     TimePoint watch_again_ = TimePoint::max();
     Backoff backoff_{std::chrono::milliseconds{100}, std::chrono::seconds{2}};
+    SessionNumber stops_ = 0;               // opening, or up
+    std::unique_ptr<Liveness> stops_heard_; // null: not up
+    std::int64_t stops_beats_ = 0;
+    TimePoint stops_beats_at_{};
+    TimePoint stops_again_ = TimePoint::max();
+    Backoff stops_backoff_{std::chrono::milliseconds{100}, std::chrono::seconds{2}};
+    bool stops_noted_ = false;  // that there is none
     std::string last_failure_;  // that was noted
 
     std::map<std::string, Shown> entities_;        // by UUID there
@@ -189,7 +215,7 @@ class PartnerCore {
     std::map<std::string, Visitor> visitors_;  // by client id at home
     std::map<SessionNumber, std::string> clients_of_;  // client id at home, by session
     std::map<std::string, Sender> holders_;            // client at home, by its id there, also of the gone
-    std::deque<std::string> holders_order_;
+    std::deque<std::string> gone_holders_;             // of holders_, those whose sessions have ended
 };
 
 }  // namespace axon::partner

@@ -52,10 +52,13 @@ struct Home final : HomePort {
 
 struct There final : TherePort {
     void open(SessionNumber session, const std::string& name, Use use) override {
-        EXPECT_EQ(use == Use::Watch, !name.starts_with("a@"));
-        opened.emplace_back(session, name);
+        EXPECT_EQ(use != Use::Visit, !name.starts_with("a@"));
+        if (use == Use::Stops)
+            for_stops.push_back(session);
+        else
+            opened.emplace_back(session, name);
     }
-    void watches(SessionNumber session) override { watching = session; }
+    void stopsBy(SessionNumber session) override { stopping.push_back(session); }
     void visits(SessionNumber session, const Sender& client) override { visiting[session] = client.id; }
     bool send(SessionNumber session, client::Operation operation, const Header& head,
               std::string bytes) override {
@@ -67,7 +70,8 @@ struct There final : TherePort {
     void leave(SessionNumber session) override { left.push_back(session); }
     void drop(SessionNumber session) override { dropped.push_back(session); }
     std::vector<std::pair<SessionNumber, std::string>> opened;
-    SessionNumber watching = 0;
+    std::vector<SessionNumber> for_stops;  // opened for strangers' stops
+    std::vector<SessionNumber> stopping;   // that take them
     std::map<SessionNumber, std::string> visiting;
     bool full = false;
     std::vector<ToThere> sent;
@@ -85,7 +89,7 @@ struct PartnerCoreTest : testing::Test {
     ManualClock clock;
     Home home;
     There there;
-    SignalRelay signals;
+    SignalRelay signals{clock};
     std::vector<std::string> notes;
     PartnerCore core{{"b", "a", 2}, clock,   home,
                      there,         signals, [this](const auto& line) { notes.push_back(line); }};
@@ -95,6 +99,7 @@ struct PartnerCoreTest : testing::Test {
         core.start();
         watch = there.opened.back().first;
         core.onOpened(watch, {"w", "lab-a", Role::Operator}, {});
+        core.onOpened(there.for_stops.back(), {"s", "lab-a", Role::Operator}, {});
         robot(kRobot, "PeopleBot");
         core.onStatus(watch, statusOf({}, EntityState::IDLE));
         core.onHomeUp(kRobotHome);
@@ -449,6 +454,50 @@ TEST_F(PartnerCoreTest, WhoOnlyAskedSomethingOnceLeavesAgain) {
     EXPECT_THAT(there.left, ElementsAre(bob));
 }
 
+TEST_F(PartnerCoreTest, WhoIsRefusedHasReleasedOrWatchesNoLongerLeavesAgain) {
+    const auto leaves = [&](SessionNumber session) {
+        for (int i = 0; i < 32; ++i) {
+            core.onHeartbeat(watch);
+            core.onHeartbeat(session);
+            core.onHomeHeartbeat(kRobotHome);
+            pass(1s);
+        }
+        const bool left = !there.left.empty();
+        there.left.clear();
+        return left;
+    };
+    auto session = visit(kAnn, kAnnThere);
+    EXPECT_FALSE(leaves(session)) << "she waits for an answer";
+    proto::ToClient answer;
+    answer.mutable_check_out()->set_request_id("0123456789abcdef");
+    answer.mutable_check_out()->set_place(1);
+    fromThere(session, answer);
+    EXPECT_FALSE(leaves(session)) << "she waits for the robot";
+    answer.mutable_check_out()->mutable_refusal()->set_code(proto::ALREADY_HELD);
+    fromThere(session, answer);
+    EXPECT_TRUE(leaves(session)) << "refused";
+
+    session = visit(kAnn, kAnnThere);
+    answer.Clear();
+    answer.mutable_check_out()->set_request_id("0123456789abcdef");
+    answer.mutable_check_out()->mutable_lease()->set_number(5);
+    fromThere(session, answer);
+    EXPECT_FALSE(leaves(session)) << "she holds it";
+    answer.mutable_lease_ended();
+    fromThere(session, answer);
+    EXPECT_TRUE(leaves(session)) << "it has ended";
+
+    proto::ToEntity watching;
+    watching.mutable_watch()->set_on(true);
+    say(kAnn, kMsgWatch, watching);
+    session = there.opened.back().first;
+    core.onOpened(session, kAnnThere, {});
+    EXPECT_FALSE(leaves(session)) << "she watches";
+    watching.mutable_watch()->set_on(false);
+    say(kAnn, kMsgWatch, watching);
+    EXPECT_TRUE(leaves(session)) << "no longer";
+}
+
 TEST_F(PartnerCoreTest, AResetOfWhoHoldsNothingIsRefusedBySignal) {
     Header head;
     head.sender = kBob;
@@ -483,10 +532,150 @@ TEST_F(PartnerCoreTest, TheAccountOfAnAdministratorRearmsOnlyForTheHolder) {
     EXPECT_THAT(there.sent, IsEmpty());
 }
 
+TEST_F(PartnerCoreTest, OnlyRawDataMayBeDroppable) {
+    const Sender eve{"eve-id", "eve@desk", Role::Observer};
+    proto::ToEntity asked;
+    asked.mutable_status_request()->set_request_id("1");
+    say(eve, kMsgStatus, asked);
+    core.onOpened(there.opened.back().first, {"eve-there", "lab-a@eve", Role::Operator}, {});
+    there.sent.clear();
+    proto::ToEntity take;
+    take.mutable_check_out()->set_phase(proto::TAKE);
+    Header head;
+    head.sender = eve;
+    for (const auto* type : {kMsgCheckOut, kMsgTask, kMsgRearm, ""}) {
+        head.msg_type = type;
+        core.onClientMsg(kRobotHome, true, head, take.SerializeAsString());
+    }
+    EXPECT_THAT(there.sent, IsEmpty()) << "it would go past what her role permits";
+    head.msg_type = kMsgRaw;
+    core.onClientMsg(kRobotHome, true, head, "anything");
+    ASSERT_EQ(there.sent.size(), 1U);
+    EXPECT_EQ(there.sent[0].operation, client::Operation::ToEntityDataSeq);
+}
+
+TEST_F(PartnerCoreTest, AHolderIsKnownHoweverManyVisitAfterIt) {
+    visit(kAnn, kAnnThere);
+    for (std::size_t i = 0; i <= PartnerCore::kHolders; ++i) {
+        const auto number = std::to_string(i);
+        const Sender bob{"bob-" + number, "bob", Role::Operator};
+        visit(bob, {"bob-there-" + number, "b", Role::Operator});
+        core.onClientUpdate(kRobotHome, bob.id, ClientChange::Ended);
+    }
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::BUSY));
+    EXPECT_EQ(home.statuses.back().holder.id, "ann-id");
+    core.onStatus(watch, statusOf({"bob-there-0", "b", Role::Operator}, EntityState::REG));
+    EXPECT_EQ(home.statuses.back().holder.id, "stranger-bob-there-0") << "of the gone only so many are";
+}
+
+TEST_F(PartnerCoreTest, TheSilenceOfOneSessionEndsThatOneOnly) {
+    const auto ann = visit(kAnn, kAnnThere);
+    const auto bob = visit(kBob, {"bob-there", "b", Role::Operator});
+    core.onStatus(watch, statusOf(kAnnThere, EntityState::BUSY));
+    for (int i = 0; i < 16; ++i) {
+        core.onHeartbeat(bob);
+        core.onHomeHeartbeat(kRobotHome);
+        pass(25ms);
+    }
+    EXPECT_THAT(there.dropped, ElementsAre(ann));
+    EXPECT_THAT(home.left, IsEmpty());
+    EXPECT_EQ(core.visitors(), 1U);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].head.sender.id, "ann-id");
+    EXPECT_EQ(home.sent[0].message.check_out().refusal().code(), proto::OUTCOME_UNKNOWN);
+}
+
+TEST_F(PartnerCoreTest, AnEntityThatAClientHasToGiveUpIsGivenUpAloneAndTheOthersStay) {
+    robot("r2", "Arm");
+    const auto ann = visit(kAnn, kAnnThere);  // waits for r1
+    Header head;
+    head.sender = kAnn;
+    head.msg_type = kMsgCheckOut;
+    head.sequence = 2;
+    proto::ToEntity take;
+    take.mutable_check_out()->set_request_id("fedcba9876543210");
+    take.mutable_check_out()->set_phase(proto::TAKE);
+    core.onClientMsg("home-r2", false, head, take.SerializeAsString());
+    proto::ToEntity watching;
+    watching.mutable_watch()->set_on(true);
+    say(kAnn, kMsgWatch, watching, {}, 3);
+    there.sent.clear();
+    core.onClientUpdate(kRobotHome, "ann-id", ClientChange::Ended);
+    EXPECT_THAT(there.left, IsEmpty()) << "she drives r2";
+    proto::ToEntity told;
+    ASSERT_EQ(there.sent.size(), 2U);
+    EXPECT_EQ(there.sent[0].session, ann);
+    EXPECT_EQ(there.sent[0].head.entity, kRobot);
+    EXPECT_EQ(there.sent[0].head.msg_type, kMsgCheckOut);
+    ASSERT_TRUE(told.ParseFromString(there.sent[0].bytes));
+    EXPECT_EQ(told.check_out().phase(), proto::ABORT);
+    EXPECT_EQ(told.check_out().request_id(), "0123456789abcdef");
+    EXPECT_EQ(there.sent[1].head.msg_type, kMsgWatch);
+    ASSERT_TRUE(told.ParseFromString(there.sent[1].bytes));
+    EXPECT_TRUE(told.has_watch() && !told.watch().on());
+    core.onClientUpdate("home-r2", "ann-id", ClientChange::Ended);
+    EXPECT_THAT(there.left, ElementsAre(ann)) << "nothing is left that she wants";
+    EXPECT_THAT(home.sent, testing::Contains(testing::Truly([](const ToHome& one) {
+                    return one.message.check_out().request_id() == "fedcba9876543210" &&
+                           one.message.check_out().refusal().code() == proto::OUTCOME_UNKNOWN;
+                })))
+        << "and no request stays without an answer";
+}
+
+TEST_F(PartnerCoreTest, AnEntityThatIsHeldAlreadyWhenItHasToBeGivenUpIsReleased) {
+    robot("r2", "Arm");
+    const auto ann = visit(kAnn, kAnnThere);
+    Header head;
+    head.sender = kAnn;
+    head.sequence = 2;
+    proto::ToEntity watching;
+    watching.mutable_watch()->set_on(true);
+    core.onClientMsg("home-r2", false, head, watching.SerializeAsString());
+    proto::ToClient granted;
+    granted.mutable_check_out()->mutable_lease()->set_epoch(3);
+    granted.mutable_check_out()->mutable_lease()->set_number(5);
+    fromThere(ann, granted);
+    there.sent.clear();
+    core.onClientUpdate(kRobotHome, "ann-id", ClientChange::Ended);
+    EXPECT_THAT(there.left, IsEmpty());
+    ASSERT_EQ(there.sent.size(), 1U);
+    EXPECT_EQ(there.sent[0].head.msg_type, kMsgRelease);
+    EXPECT_EQ(there.sent[0].head.held, (LeaseNumber{3, 5}));
+    proto::ToEntity told;
+    ASSERT_TRUE(told.ParseFromString(there.sent[0].bytes));
+    EXPECT_TRUE(told.has_release());
+}
+
+TEST_F(PartnerCoreTest, TheSessionForStrangersStopsEndsAloneAndIsOpenedAgain) {
+    const auto ann = visit(kAnn, kAnnThere);
+    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0]));
+    core.onClosed(there.for_stops[0], "flooded");
+    EXPECT_THAT(there.dropped, ElementsAre(there.for_stops[0]));
+    EXPECT_THAT(home.left, IsEmpty());
+    EXPECT_EQ(core.visitors(), 1U);
+    pass(200ms);
+    ASSERT_EQ(there.for_stops.size(), 2U);
+    core.onRefused(there.for_stops[1], {RefusalCode::Overloaded, "full", {}});
+    EXPECT_THAT(notes, testing::Contains(HasSubstr("stops of clients without a session")));
+    pass(400ms);
+    ASSERT_EQ(there.for_stops.size(), 3U);
+    core.onOpened(there.for_stops[2], {"s2", "lab-a", Role::Operator}, {});
+    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0], there.for_stops[2]));
+    // It beats, and its own silence ends only itself.
+    for (int i = 0; i < 11; ++i) {
+        for (const auto session : {watch, ann}) core.onHeartbeat(session);
+        core.onHomeHeartbeat(kRobotHome);
+        pass(1s);
+    }
+    EXPECT_GT(there.beats[there.for_stops[2]], 4);
+    EXPECT_THAT(there.dropped, ElementsAre(there.for_stops[0], there.for_stops[2]));
+    EXPECT_EQ(core.visitors(), 1U);
+}
+
 TEST_F(PartnerCoreTest, TheOrderlyEndReleasesWhatIsHeld) {
     const auto ann = visit(kAnn, kAnnThere);
     core.stop();
-    EXPECT_THAT(there.left, ElementsAre(ann, watch));
+    EXPECT_THAT(there.left, ElementsAre(ann, watch, there.for_stops[0]));
     EXPECT_THAT(home.left, ElementsAre(kRobotHome));
     core.onClosed(watch, "left");
     pass(5s);

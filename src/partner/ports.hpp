@@ -50,18 +50,20 @@ class HomePort {
 /// does nothing.
 using SessionNumber = std::uint64_t;
 
-/// The client sessions there: one that watches, and one for each client of home that uses an entity.
+/// The client sessions there: one that watches, one for stops of clients that have none, and one for each
+/// client of home that uses an entity.
 class TherePort {
   public:
     virtual ~TherePort() = default;
     enum class Use : std::uint8_t {
         Watch,  ///< it is told of entities and their statuses
-        Visit   ///< a client at home has it, and has heard of those by the other one
+        Stops,  ///< of clients without a session of their own; it is told of receipts only
+        Visit   ///< of one client at home; it is told what is for that one
     };
     /// Answered by PartnerCore::onOpened or onRefused, on another turn of the strand.
     virtual void open(SessionNumber session, const std::string& display_name, Use use) = 0;
-    /// It is the one that watches: stops of clients without a session go there.
-    virtual void watches(SessionNumber session) = 0;
+    /// Stops of clients without a session of their own go there, until it has ended.
+    virtual void stopsBy(SessionNumber session) = 0;
     /// Signals of this client at home go there, until it has ended.
     virtual void visits(SessionNumber session, const Sender& client) = 0;
     /// False: too much waits for a server that does not read.

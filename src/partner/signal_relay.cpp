@@ -1,23 +1,24 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "partner/signal_relay.hpp"
 
-#include <algorithm>
-
 #include "partner/translation.hpp"
 
 namespace axon::partner {
 
-void SignalRelay::watch(const Sender& me, Lanes lanes) {
+void SignalRelay::stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes) {
     const std::lock_guard lock(mutex_);
-    watch_ = std::move(lanes);
-    watcher_ = me;
+    stops_ = std::move(lanes);
+    stopper_ = me;
     given_.clear();
     origins_.clear();
+    of_client_.clear();
+    recent_.clear();
+    recent_order_.clear();
 }
 
-void SignalRelay::unwatch() {
+void SignalRelay::noStopBy() {
     const std::lock_guard lock(mutex_);
-    watch_ = {};
+    stops_ = nullptr;
 }
 
 void SignalRelay::visit(const Sender& client, const Sender& there, Lanes lanes) {
@@ -37,15 +38,6 @@ void SignalRelay::end(const std::string& client) {
     ended_.pop_front();
 }
 
-bool SignalRelay::hasVisited(const std::string& client) const {
-    const std::lock_guard lock(mutex_);
-    return !visitors_.contains(client) &&
-           std::any_of(ended_.begin(), ended_.end(), [&](const std::string& there) {
-               const auto found = clients_.find(there);
-               return found != clients_.end() && found->second.id == client;
-           });
-}
-
 std::int64_t SignalRelay::numberOf(const Header& head) {
     const std::pair key{head.sender.id, head.sequence};
     const bool numbered = head.sequence > 0;  // without a number it is always a new one
@@ -54,12 +46,38 @@ std::int64_t SignalRelay::numberOf(const Header& head) {
     const auto number = ++last_;
     origins_[number] = {head.sender, head.sequence};
     if (numbered) given_[key] = number;
-    if (origins_.size() > kRemembered) {
-        const auto oldest = origins_.begin();
-        given_.erase({oldest->second.client.id, oldest->second.sequence});
-        origins_.erase(oldest);
-    }
+    auto& its = of_client_[head.sender.id];
+    its.push_back(number);
+    if (its.size() > kRememberedOfOne)
+        forget(its.front());
+    else if (origins_.size() > kRemembered)
+        forget(origins_.begin()->first);
     return number;
+}
+
+void SignalRelay::forget(std::int64_t number) {
+    const auto origin = origins_.find(number);
+    if (origin == origins_.end()) return;
+    const auto& client = origin->second.client.id;
+    given_.erase({client, origin->second.sequence});
+    // It is the oldest of its client, as it is the oldest of all or was taken from there.
+    if (const auto its = of_client_.find(client); its != of_client_.end()) {
+        its->second.pop_front();
+        if (its->second.empty()) of_client_.erase(its);
+    }
+    origins_.erase(origin);
+}
+
+bool SignalRelay::justSent(std::int64_t number, const std::string& entity) {
+    const auto now = clock_.now();
+    while (!recent_order_.empty() &&
+           (recent_order_.size() >= kRecent || now - recent_.at(recent_order_.front()) >= kRepeat)) {
+        recent_.erase(recent_order_.front());
+        recent_order_.pop_front();
+    }
+    if (!recent_.emplace(Sent{number, entity}, now).second) return true;
+    recent_order_.emplace_back(number, entity);
+    return false;
 }
 
 bool SignalRelay::stop(const std::string& entity, const Header& head, StopCause cause) {
@@ -72,11 +90,12 @@ bool SignalRelay::stop(const std::string& entity, const Header& head, StopCause 
         const auto visitor = visitors_.find(head.sender.id);
         // A number of a server's own would be none there; and one that is sent again goes as it went.
         const bool again = given_.contains({head.sender.id, head.sequence});
-        if (visitor != visitors_.end() && head.sequence < kServerSequences && !(again && watch_.stops)) {
+        if (visitor != visitors_.end() && head.sequence < kServerSequences && !(again && stops_)) {
             lanes = visitor->second.lanes.stops;
-        } else if (watch_.stops) {
-            lanes = watch_.stops;
+        } else if (stops_) {
+            lanes = stops_;
             its.sequence = numberOf(head);
+            if (justSent(its.sequence, entity)) return true;
         } else if (visitor != visitors_.end()) {
             lanes = visitor->second.lanes.stops;
             its.sequence = 0;
@@ -106,7 +125,7 @@ std::optional<SignalRelay::Origin> SignalRelay::originOf(std::string_view signal
     const auto id = SignalId::parse(signal_id);
     if (!id) return std::nullopt;
     const std::lock_guard lock(mutex_);
-    if (id->sender == watcher_.id) {
+    if (id->sender == stopper_.id) {
         const auto found = origins_.find(id->sequence);
         return found == origins_.end() ? std::nullopt : std::optional(found->second);
     }

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "client/base/lanes.hpp"
+#include "common/clock.hpp"
 #include "common/routed.hpp"
 
 namespace axon::partner {
@@ -22,33 +23,40 @@ namespace axon::partner {
 ///
 /// Where in the flow: what a server at home says to an entity that is shown comes in by stop() and command(),
 /// on the threads of the signal lane; it leaves on the signal lane of a session there. A stop of a client
-/// that has a session there goes by that one, under its own number; any other goes by the session that
-/// watches, under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it
-/// for the same stop. translate() turns what a receipt there says into what it says at home.
+/// that has a session there goes by that one, under its own number; any other goes by a session for such stops,
+/// under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it for the
+/// same stop; sent again within kRepeat, it is on its way already and is not passed on. translate() turns what a receipt there says into what it says at home.
 ///
 /// Threads: any; no call waits, and nothing is sent while the lock is held. Bounds: kRemembered stops that
-/// went by the session that watches, and kRemembered sessions that have ended; the oldest go first, and a
-/// stop that is sent again after that is a new one.
+/// went by the session for them, kRememberedOfOne of each client, and kRemembered sessions that have ended; the
+/// oldest go first, and a stop that is sent again after that is a new one. Of kRecent stops the last kRepeat is
+/// known; of more at once, all are passed on.
 class SignalRelay {
   public:
     static constexpr std::size_t kRemembered = 4096;
+    static constexpr std::size_t kRememberedOfOne = 256;
+    static constexpr std::size_t kRecent = 16'384;
+    /// A client sends a stop again after five times as long. What one number costs there, however often it is
+    /// sent: 50 messages a second for each entity.
+    static constexpr Duration kRepeat = std::chrono::milliseconds{20};
+
+    explicit SignalRelay(const Clock& clock) : clock_(clock) {}
 
     struct Lanes {
         std::shared_ptr<const client::StopLanes> stops;
         std::shared_ptr<const client::DataLane> commands;  ///< which takes Reset and Clear
     };
 
-    /// The session that watches is there; `me`: who it is. Stops that went by an earlier one are forgotten.
-    void watch(const Sender& me, Lanes lanes);
-    void unwatch();
+    /// The session for stops of clients without one is there; `me`: who it is. Stops that went by an earlier
+    /// one are forgotten.
+    void stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes);
+    void noStopBy();
     /// The client of home is `there` in the partner's laboratory.
     void visit(const Sender& client, const Sender& there, Lanes lanes);
     /// Its session has ended. Receipts that name it are translated still.
     void end(const std::string& client);
-    /// It had a session there, which has ended.
-    bool hasVisited(const std::string& client) const;
 
-    /// `entity`: UUID there. False: no session is there, and nothing was sent.
+    /// `entity`: UUID there. False: there is no session for it, and nothing was sent.
     bool stop(const std::string& entity, const Header& head, StopCause cause);
     /// Reset or Clear. False: this client has no session there, so it holds nothing.
     bool command(client::Operation operation, const std::string& entity, const Header& head);
@@ -68,13 +76,21 @@ class SignalRelay {
         Sender there;
         Lanes lanes;
     };
-    std::int64_t numberOf(const Header& head);  // under the lock
+    // Under the lock:
+    std::int64_t numberOf(const Header& head);
+    void forget(std::int64_t number);
+    bool justSent(std::int64_t number, const std::string& entity);
 
+    const Clock& clock_;
     mutable std::mutex mutex_;
     // Guarded by mutex_:
-    Lanes watch_;
-    Sender watcher_;
-    std::int64_t last_ = 0;  // number of a stop by the watching session
+    std::shared_ptr<const client::StopLanes> stops_;  // of the session for strangers' stops
+    Sender stopper_;                                  // who that is
+    std::int64_t last_ = 0;                           // number of a stop by it
+    std::map<std::string, std::deque<std::int64_t>> of_client_;  // its numbers in origins_, by client at home
+    using Sent = std::pair<std::int64_t, std::string>;           // number and entity there
+    std::map<Sent, TimePoint> recent_;
+    std::deque<Sent> recent_order_;
     std::map<std::pair<std::string, std::int64_t>, std::int64_t>
         given_;                                           // its number, by client and number at home
     std::map<std::int64_t, Origin> origins_;              // by its number

@@ -108,6 +108,16 @@ TEST_F(PartnerTest, WhatCannotBeReadIsRefusedAtTheGateway) {
     EXPECT_EQ(entity_.messages_received.load(), 0U);
 }
 
+TEST_F(PartnerTest, WhomOfItsOwnPeopleHoldsItIsNotStoppedByTheGateway) {
+    RawClient carol{there_.clientAddress(Lane::Data), "carol@there"};
+    // Held and driven by somebody whom the servers at home have never seen.
+    entity_.status(EntityState::BUSY, carol.facts.me.id);
+    ASSERT_TRUE(waitUntil([&] { return ann_.log.has("status " + shown_ + " BUSY"); }));
+    ann_.stop(shown_);  // goes the way on which another would have come before
+    EXPECT_TRUE(waitUntil([&] { return entity_.log.has("signal stop requested a"); }));
+    EXPECT_EQ(entity_.log.count("signal stop "), 1U);
+}
+
 TEST_F(PartnerTest, AStopOfAClientWithoutASessionArrivesWhileDataStandsStill) {
     checkOut(bob_);
     ASSERT_TRUE(waitUntil([&] { return entity_.log.has("msg a@bob at desk CHECKOUT"); }));
