@@ -63,7 +63,8 @@ class PartnerCore {
     static constexpr std::size_t kEntities = 1000;
     static constexpr std::size_t kStreams = 64;
     static constexpr Duration kIdle = std::chrono::seconds{30};
-    /// Call onTimer() this often: a fifth of the shortest watchdog of a client.
+    /// Beats of a visitor who uses an entity: a fifth of the shortest watchdog of a client. Call onTimer()
+    /// twice as often.
     static constexpr Duration kTurn = std::chrono::milliseconds{50};
 
     PartnerCore(PartnerCoreSettings settings, const Clock& clock, HomePort& home, TherePort& there,
