@@ -32,8 +32,8 @@ void setRefusal(proto::ToClient& answer, const Refusal& refusal) {
 }  // namespace
 
 void PartnerCore::start() {
-    openWatch();
     openStops();
+    watch_again_ = clock_.now();
 }
 
 void PartnerCore::openStops() {
@@ -96,6 +96,7 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
     }
     if (session == watch_) {
         watcher_ = me;
+        if (stops_ == 0) stops_again_ = now;
         watched_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
         watch_beats_at_ = now;
         backoff_.reset();
@@ -652,8 +653,9 @@ void PartnerCore::end(const std::string& client, Ending ending, const Refusal& w
 void PartnerCore::onTimer() {
     const auto now = clock_.now();
     if (stopped_) return;
-    if (now >= watch_again_) openWatch();
     if (now >= stops_again_) openStops();
+    // Whoever sees a robot may stop it: first the session for that, or a refusal of it.
+    if (now >= watch_again_ && (stops_heard_ || stops_ == 0)) openWatch();
     if (stops_heard_ && stops_heard_->expired(now)) endStops();
     if (stops_heard_ && now >= stops_beats_at_) {
         there_.keepAlive(stops_, ++stops_beats_);

@@ -97,9 +97,11 @@ struct PartnerCoreTest : testing::Test {
 
     void SetUp() override {
         core.start();
+        EXPECT_THAT(there.opened, IsEmpty()) << "whoever sees a robot must be able to stop it";
+        core.onOpened(there.for_stops.back(), {"s", "lab-a", Role::Operator}, {});
+        core.onTimer();
         watch = there.opened.back().first;
         core.onOpened(watch, {"w", "lab-a", Role::Operator}, {});
-        core.onOpened(there.for_stops.back(), {"s", "lab-a", Role::Operator}, {});
         robot(kRobot, "PeopleBot");
         core.onStatus(watch, statusOf({}, EntityState::IDLE));
         core.onHomeUp(kRobotHome);
