@@ -14,6 +14,7 @@
 #include "client/connection/send_queue.hpp"
 #include "common/ids.hpp"
 #include "entity_manager/links/server/server_communicators.hpp"
+#include "partner/translation.hpp"
 #include "transport/ice/bound_uuid.hpp"
 #include "transport/ice/endpoint.hpp"
 #include "transport/sessions/routed_session.hpp"
@@ -68,12 +69,12 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
         if (const auto gateway = gateway_.lock()) gateway->command(client::Operation::Clear, entity_, head);
     }
     void clientUpdate(Header head, ClientChange change) override {
-        tell([home = entity_.home, client = head.sender.id, change](PartnerCore& core) {
+        counted([home = entity_.home, client = head.sender.id, change](PartnerCore& core) {
             core.onClientUpdate(home, client, change);
         });
     }
     void serverHeartbeat() override {
-        tell([home = entity_.home](PartnerCore& core) { core.onHomeHeartbeat(home); });
+        counted([home = entity_.home](PartnerCore& core) { core.onHomeHeartbeat(home); });
     }
     void undeliverable(Lane, Header head, const Refusal& refusal) override {
         spdlog::debug("{}: the server at home refused a {}: {}", entity_.name, head.msg_type,
@@ -84,12 +85,26 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
     void tell(std::function<void(PartnerCore&)> event) {
         if (const auto gateway = gateway_.lock()) gateway->post(std::move(event));
     }
+    void counted(std::function<void(PartnerCore&)> event) {
+        if (const auto gateway = gateway_.lock()) gateway->postBounded(0, false, std::move(event));
+    }
     void pass(bool droppable, Header head, std::string bytes) {
         const auto gateway = gateway_.lock();
         if (!gateway) return;
         const auto size = bytes.size();
-        gateway->postBounded(
-            size, droppable,
+        const auto client = head.sender.id;
+        const auto verdict = gateway->shares_.take(client, size + kEventBytes, kEventBytes);
+        if (verdict == ClientShares::Verdict::Drop) return;
+        if (verdict == ClientShares::Verdict::Refuse) {
+            proto::ToEntity asked;
+            if (droppable || !asked.ParseFromString(bytes)) return gateway->shares_.give(client, kEventBytes);
+            return gateway->postShare(
+                client, 0, false,
+                [home = entity_.home, client = head.sender, answer = refused(asked, {})](
+                    PartnerCore& core) mutable { core.onClientFlood(home, client, std::move(answer)); });
+        }
+        gateway->postShare(
+            client, size, droppable,
             [home = entity_.home, droppable, head = std::move(head), bytes = std::move(bytes)](
                 PartnerCore& core) mutable { core.onClientMsg(home, droppable, head, std::move(bytes)); });
     }
@@ -136,21 +151,24 @@ class Gateway::Session final : public client::ConnectionEvents {
         spdlog::info("the partner's server says: {}", text);
     }
     void newServerHeartbeat(std::uint64_t) override {
-        tell([number = number_](PartnerCore& core) { core.onHeartbeat(number); });
+        bounded(0, false, [number = number_](PartnerCore& core) { core.onHeartbeat(number); });
     }
     void newServerRelease(const std::string&) override {}
     void closed(std::uint64_t, const std::string& reason) override {
-        tell([number = number_, reason](PartnerCore& core) { core.onClosed(number, reason); });
+        const auto gateway = gateway_.lock();
+        if (!gateway) return;
+        asio::post(gateway->strand_, [weak = gateway_, number = number_, reason] {
+            if (const auto self = weak.lock(); self && !self->stopping_) self->closed(number, reason);
+        });
     }
 
     // Of the gateway's strand.
     std::shared_ptr<const client::ServerConnection> connection;  // once it is open
     std::string client;                                          // of home, once it is known
+    std::string display_name;
+    std::optional<std::string> closed_early;  // before the strand has heard that it is open
 
   private:
-    void tell(std::function<void(PartnerCore&)> event) {
-        if (const auto gateway = gateway_.lock()) gateway->post(std::move(event));
-    }
     void bounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
         if (const auto gateway = gateway_.lock()) gateway->postBounded(bytes, droppable, std::move(event));
     }
@@ -208,6 +226,7 @@ void Gateway::stop() {
     leavers_.join();
     there_ice_.destroy();  // ends a log-in that an opener may be waiting for
     openers_.join();
+    standing_.join();
     // What the sessions at home say last is on its way when their communicators have ended.
     std::promise<void> left;
     asio::post(strand_, [&left] { left.set_value(); });
@@ -222,7 +241,18 @@ void Gateway::post(std::function<void(PartnerCore&)> event) {
     });
 }
 
-void Gateway::postBounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
+void Gateway::postShare(const std::string& client, std::size_t bytes, bool droppable,
+                        std::function<void(PartnerCore&)> event) {
+    const auto size = bytes + kEventBytes;
+    const bool posted =
+        postBounded(bytes, droppable, [this, client, size, event = std::move(event)](PartnerCore& core) {
+            shares_.give(client, size);
+            event(core);
+        });
+    if (!posted) shares_.give(client, size);
+}
+
+bool Gateway::postBounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
     const auto size = bytes + kEventBytes;
     if (waiting_.load() + size > (droppable ? kWaitingData : kWaitingControl)) {
         if (!droppable && !overflown_.exchange(true))
@@ -230,13 +260,14 @@ void Gateway::postBounded(std::size_t bytes, bool droppable, std::function<void(
                 overflown_ = false;
                 core.onOverflow();
             });
-        return;
+        return false;
     }
     waiting_ += size;
     post([this, size, event = std::move(event)](PartnerCore& core) {
         waiting_ -= size;
         event(core);
     });
+    return true;
 }
 
 // Signals.
@@ -260,7 +291,9 @@ void Gateway::stopSignal(const ShownEntity& entity, const Header& head, StopCaus
 
 void Gateway::command(client::Operation operation, const ShownEntity& entity, const Header& head) {
     if (signals_.command(operation, entity.there, head)) return;
-    post([home = entity.home, head](PartnerCore& core) { core.onCommandOfStranger(home, head); });
+    if (shares_.take(head.sender.id, kEventBytes, kEventBytes) == ClientShares::Verdict::Drop) return;
+    postShare(head.sender.id, 0, false,
+              [home = entity.home, head](PartnerCore& core) { core.onCommandOfStranger(home, head); });
 }
 
 std::shared_ptr<const client::ServerConnection> Gateway::connectionOf(const std::string& client) const {
@@ -345,7 +378,19 @@ void Gateway::toClientDataSeq(const Header& head, const std::string& bytes) {
 
 void Gateway::open(SessionNumber session, const std::string& display_name, Use use) {
     auto its = std::make_shared<Session>(weak_from_this(), session, use);
+    its->display_name = display_name;
     sessions_[session] = its;
+    // A log-in waits for the server. Visitors' do not hold up the sessions that all others need.
+    if (use != Use::Visit) return logIn(standing_, session, its);
+    openings_.add(session);
+    openNext();
+}
+
+void Gateway::openNext() {
+    while (const auto session = openings_.next()) logIn(openers_, *session, sessions_.at(*session));
+}
+
+void Gateway::logIn(asio::thread_pool& threads, SessionNumber session, const std::shared_ptr<Session>& its) {
     client::Login login;
     const auto& options = settings_.there;
     if (there_ice_.routed())
@@ -354,16 +399,19 @@ void Gateway::open(SessionNumber session, const std::string& display_name, Use u
         login.endpoint = transport::parseEndpoint(options.server);
     login.user = options.user;
     login.password = options.password;
-    login.display_name = display_name;
+    login.display_name = its->display_name;
     login.timeout = client::toDuration(options.timeout);
     login.attempt = session;
-    asio::post(openers_, [this, weak = weak_from_this(), session, its, login] {
+    const bool visits = &threads == &openers_;
+    asio::post(threads, [this, weak = weak_from_this(), session, its, login, visits] {
         if (stopping_) return;
         const auto opened =
             client::ServerConnection::open(there_ice_.data(), there_ice_.signal(), login, its);
         const auto self = weak.lock();
         if (!self) return;
-        asio::post(strand_, [self, session, its, opened] {
+        asio::post(strand_, [self, session, its, opened, visits] {
+            if (visits) self->openings_.done();
+            if (visits && !self->stopping_) self->openNext();
             if (!self->sessions_.contains(session) || self->stopping_) {
                 if (opened) opened.value()->drop();
                 return;
@@ -374,8 +422,19 @@ void Gateway::open(SessionNumber session, const std::string& display_name, Use u
             }
             its->connection = opened.value();
             self->core_.onOpened(session, its->connection->me(), its->connection->watchdogs());
+            if (its->closed_early) self->core_.onClosed(session, *its->closed_early);
         });
     });
+}
+
+// A log-in that fails half-way closes what it has opened: why it failed is said by the log-in.
+void Gateway::closed(SessionNumber session, const std::string& reason) {
+    const auto found = sessions_.find(session);
+    if (found == sessions_.end()) return;
+    if (!found->second->connection)
+        found->second->closed_early = reason;
+    else
+        core_.onClosed(session, reason);
 }
 
 std::shared_ptr<const client::ServerConnection> Gateway::connectionOf(SessionNumber session) const {
@@ -411,6 +470,7 @@ void Gateway::keepAlive(SessionNumber session, std::int64_t sequence) {
 }
 
 std::shared_ptr<Gateway::Session> Gateway::forget(SessionNumber session) {
+    openings_.forget(session);
     auto found = sessions_.extract(session);
     if (found.empty()) return nullptr;
     const auto& its = found.mapped();

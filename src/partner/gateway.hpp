@@ -16,6 +16,7 @@
 #include "entity_manager/strand/due_timer.hpp"
 #include "partner/partner_core.hpp"
 #include "partner/ports.hpp"
+#include "partner/queues.hpp"
 #include "partner/signal_relay.hpp"
 
 namespace axon::partner {
@@ -33,11 +34,12 @@ struct GatewaySettings {
 /// The rim of PartnerCore and SignalRelay: the sessions in both laboratories, over the connections that
 /// clients and Entity Managers have, and the threads.
 ///
-/// Threads: one runs the strand of the core; two open sessions there, which waits for the server, and one
-/// leaves them; Ice's are those of a client and of an Entity Manager, where signals and data have each their
-/// own. A signal is passed on by the thread on which it comes.
-/// Bounds: kWaitingControl and kWaitingData wait for the strand. Droppable data beyond is dropped; a control
-/// message too many ends all sessions there (PartnerCore::onOverflow).
+/// Threads: one runs the strand of the core; two open visitors' sessions there, which waits for the server,
+/// two the session that watches and that for stops, and one leaves them; Ice's are those of a client and of
+/// an Entity Manager, where signals and data have each their own. A signal is passed on by the thread on
+/// which it comes. Bounds: kWaitingControl and kWaitingData wait for the strand. Droppable data beyond is
+/// dropped; a control message too many ends all sessions there (PartnerCore::onOverflow). Of one client of
+/// home, what is in its ClientShares; the rest of it is refused or dropped. Ends of sessions are not counted.
 class Gateway final : public HomePort, public TherePort, public std::enable_shared_from_this<Gateway> {
   public:
     static constexpr std::size_t kWaitingData = std::size_t{8} * 1024 * 1024;
@@ -59,7 +61,11 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
 
     /// On the strand. `bytes`: what it takes while it waits.
     void post(std::function<void(PartnerCore&)> event);
-    void postBounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event);
+    /// False: it was dropped.
+    bool postBounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event);
+    /// The same, of what the share of this client has taken.
+    void postShare(const std::string& client, std::size_t bytes, bool droppable,
+                   std::function<void(PartnerCore&)> event);
     void turn();
 
     // On the threads of signals.
@@ -92,16 +98,20 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     std::string derived(std::string_view what, std::string_view id) const;
     std::shared_ptr<const client::ServerConnection> connectionOf(SessionNumber session) const;
     std::shared_ptr<Session> forget(SessionNumber session);
+    void openNext();
+    void logIn(asio::thread_pool& threads, SessionNumber session, const std::shared_ptr<Session>& its);
+    void closed(SessionNumber session, const std::string& reason);
 
     // Constant after construction.
     const GatewaySettings settings_;
     const Clock& clock_;
-    asio::thread_pool executor_{1}, openers_{2}, leavers_{1};
+    asio::thread_pool executor_{1}, openers_{Openings::kAtOnce}, standing_{2}, leavers_{1};
     const asio::any_io_executor strand_;
     const std::shared_ptr<entity_manager::ServerCommunicators> home_ice_;
     client::Communicators there_ice_;
     SignalRelay signals_;
     std::atomic<std::size_t> waiting_{0};  // bytes
+    ClientShares shares_;
     std::atomic<std::size_t> leaving_{0};
     std::atomic<bool> overflown_{false};
     std::atomic<bool> stopping_{false};
@@ -111,6 +121,7 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     entity_manager::DueTimer timer_;
     std::map<std::string, std::shared_ptr<HomeLink>> links_;  // by UUID at home
     std::map<SessionNumber, std::shared_ptr<Session>> sessions_;
+    Openings openings_;
 
     mutable std::mutex visitors_mutex_;
     /// By client at home. Guarded by visitors_mutex_.

@@ -35,7 +35,7 @@ fs::path defaultStateFolder(const std::string& name) {
 }
 
 std::string laboratory(const std::string& what, const std::string& name, const char* example) {
-    if (name.empty()) throw std::runtime_error(what + " is not said; expected a laboratory, as " + example);
+    if (name.empty()) throw std::runtime_error(what + " is missing; expected a laboratory, as " + example);
     if (!isLaboratoryName(name))
         throw std::runtime_error(what + ": expected 1 to 32 letters, digits, '-' and '_', not '" + name +
                                  "'");
@@ -118,19 +118,16 @@ void readThere(GatewaySettings& settings, const std::string& file, const std::st
 
 PartnerOptions readPartnerOptions(int argc, const char* const* argv) {
     CLI::App app{
-        "Shows the robots of another laboratory in this one. Clients here see them as NAME/ROBOT and use "
-        "them like\n"
-        "their own; the other laboratory decides about each check-out, as for its own clients, and stops its "
-        "robots\n"
-        "when this gateway or its connections fail. Runs in this laboratory, as a client of the other "
-        "one.\n\n"
+        "Shows the robots of another laboratory in this one. Clients here see them as\n"
+        "NAME/ROBOT and use them like their own; the other laboratory decides about each\n"
+        "check-out, as for its own clients, and stops its robots when this gateway or its\n"
+        "connections fail. Runs in this laboratory, as a client of the other one.\n\n"
         "  axon-partner --name b --as a --server lab-b.example:10410 --entity-server 127.0.0.1:10412\n"
         "  axon-partner --config /etc/axon/partner.cfg\n\n"
-        "Who lets this program in: the other laboratory as a user (its users.cfg says what it may), and this "
-        "one as\n"
-        "an entity. Both may want a certificate: --client-config and --entity-config name files as those of "
-        "the\n"
-        "command axon and of axon-entity-manager.\n"};
+        "The other laboratory lets this program in as a user (its users.cfg says what it\n"
+        "may), this one as an entity. Both may want a certificate: the files of\n"
+        "--client-config and --entity-config are those of the command axon and of\n"
+        "axon-entity-manager.\n"};
     app.set_version_flag("--version", std::string("axon-partner ") + kRelease);
     std::string config, name, as, server, entity_server, client_config, entity_config, state, log_level,
         visitors;

@@ -45,8 +45,8 @@ TEST(PartnerOptionsTest, TwoNamesAndAServerAreEnough) {
 }
 
 TEST(PartnerOptionsTest, WhatIsMissingIsNamed) {
-    EXPECT_THAT(refusal({"--as", "a", "--server", "b:1"}), HasSubstr("--name (Partner.Name) is not said"));
-    EXPECT_THAT(refusal({"--name", "b", "--server", "b:1"}), HasSubstr("--as (Partner.As) is not said"));
+    EXPECT_THAT(refusal({"--as", "a", "--server", "b:1"}), HasSubstr("--name (Partner.Name) is missing"));
+    EXPECT_THAT(refusal({"--name", "b", "--server", "b:1"}), HasSubstr("--as (Partner.As) is missing"));
     EXPECT_THAT(refusal({"--name", "b", "--as", "a"}), HasSubstr("say --server HOST:PORT"));
 }
 

@@ -32,8 +32,8 @@ void setRefusal(proto::ToClient& answer, const Refusal& refusal) {
 }  // namespace
 
 void PartnerCore::start() {
-    openWatch();
     openStops();
+    watch_again_ = clock_.now();
 }
 
 void PartnerCore::openStops() {
@@ -96,6 +96,7 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
     }
     if (session == watch_) {
         watcher_ = me;
+        if (stops_ == 0) stops_again_ = now;
         watched_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
         watch_beats_at_ = now;
         backoff_.reset();
@@ -169,6 +170,7 @@ void PartnerCore::lose(const std::string& why) {
     while (!visitors_.empty()) end(std::string(visitors_.begin()->first), Ending::Lost, lost);
     while (!entities_.empty()) hide(std::string(entities_.begin()->first));
     hidden_.clear();
+    limit_noted_ = false;
     if (was_up) note_("laboratory " + settings_.laboratory + " is lost: " + why);
     watch_again_ = clock_.now() + backoff_.next();
 }
@@ -195,15 +197,17 @@ void PartnerCore::onProfile(SessionNumber session, Presence presence, const Regi
     }
     const auto name = nameAtHome(settings_.laboratory, registration.name);
     if (!name) {
-        if (hidden_.insert(there).second)
+        if (hidden_.size() < kEntities && hidden_.insert(there).second)
             note_("the entity " + inQuotes(registration.name) + " is not shown: expected a name without '" +
                   std::string(1, kLaboratorySeparator) +
                   "', which a laboratory has in the names of its own partners' entities, and short enough");
         return hide(there);
     }
     if (!entities_.contains(there) && entities_.size() >= kEntities) {
-        if (hidden_.empty() && hidden_.insert(there).second)
-            note_("more than " + std::to_string(kEntities) + " entities are not shown");
+        if (!std::exchange(limit_noted_, true))
+            note_("laboratory " + settings_.laboratory + " has more than " + std::to_string(kEntities) +
+                  " entities: " + inQuotes(registration.name) +
+                  " and more are not shown; one of them is when it next changes and there is room");
         return;
     }
     proto::BasicProfile its;
@@ -509,7 +513,8 @@ void PartnerCore::onClientMsg(const std::string& entity, bool droppable, const H
     if (droppable) {
         // An Entity Manager carries out whatever is in it, so only what no role is asked about passes unread;
         // that the body is what the type says, the Entity Manager sees to.
-        if (head.msg_type == kMsgRaw && visitor != nullptr && !visitor->me.id.empty()) pass(*visitor, std::move(message));
+        if (head.msg_type == kMsgRaw && visitor != nullptr && !visitor->me.id.empty())
+            pass(*visitor, std::move(message));
         return;
     }
     proto::ToEntity asked;
@@ -595,14 +600,23 @@ void PartnerCore::onClientUpdate(const std::string& entity, const std::string& c
     const auto found = visitors_.find(client);
     if (shown == nullptr || found == visitors_.end()) return;
     if (change == ClientChange::Lost) return end(client, Ending::Lost, {});
-    // A client that leaves is told of for each entity that it has asked, and one whose rights have become less
-    // for that entity only: what it uses besides goes on.
+    // A client that leaves is told of for each entity that it has asked, and one whose rights have become
+    // less for that entity only: what it uses besides goes on.
     const bool withdrawn = withdraw(found->second, shown->names.there);
     if (withdrawn && engaged(found->second)) return;
     end(client, Ending::Orderly,
         {RefusalCode::OutcomeUnknown,
          "The server of this laboratory ended the use of " + shown->names.name + " while this was under way.",
          {}});
+}
+
+void PartnerCore::onClientFlood(const std::string& entity, const Sender& client, proto::ToClient answer) {
+    if (const auto* shown = ofHome(entity))
+        refuse(*shown, client, std::move(answer),
+               {RefusalCode::Overloaded,
+                "Too much of this client waits for the gateway to laboratory " + settings_.laboratory +
+                    ". Send more slowly.",
+                {}});
 }
 
 void PartnerCore::onCommandOfStranger(const std::string& entity, const Header& head) {
@@ -639,8 +653,9 @@ void PartnerCore::end(const std::string& client, Ending ending, const Refusal& w
 void PartnerCore::onTimer() {
     const auto now = clock_.now();
     if (stopped_) return;
-    if (now >= watch_again_) openWatch();
     if (now >= stops_again_) openStops();
+    // Whoever sees a robot may stop it: first the session for that, or a refusal of it.
+    if (now >= watch_again_ && (stops_heard_ || stops_ == 0)) openWatch();
     if (stops_heard_ && stops_heard_->expired(now)) endStops();
     if (stops_heard_ && now >= stops_beats_at_) {
         there_.keepAlive(stops_, ++stops_beats_);
@@ -667,7 +682,8 @@ void PartnerCore::onTimer() {
         visitor.beats_at = now + (wants ? kTurn : kIdleBeat);
     }
     for (const auto& client : idle) end(client, Ending::Orderly, {});
-    for (const auto& client : mute) end(client, Ending::Lost, lostSession("its server was silent for too long"));
+    for (const auto& client : mute)
+        end(client, Ending::Lost, lostSession("its server was silent for too long"));
     std::vector<std::string> silent;
     for (auto& [there, shown] : entities_) {
         if (!shown.up) continue;

@@ -43,9 +43,9 @@ struct PartnerCoreSettings {
 /// States: without the session that watches (nothing is shown, and it is opened again and again, 100 ms to 2
 /// s apart), with it. A visitor is opening, up or gone. When a session there is lost or silent, its client is
 /// lost there, and its robots stop. When the session that watches is, all sessions there end and every entity
-/// leaves home. The session for stops of clients without one of their own is opened again in the same way, and
-/// its end ends nothing else. When the server at home is lost or silent, the visitors who asked for that entity are
-/// dropped, for the same reason.
+/// leaves home. The session for stops of clients without one of their own is opened again in the same way,
+/// and its end ends nothing else. When the server at home is lost or silent, the visitors who asked for that
+/// entity are dropped, for the same reason.
 ///
 /// Threads: one strand, on which the ports call back, too. Signals do not pass here: SignalRelay.
 /// Bounds: kWaitingMessages and kWaitingBytes for a visitor who is opening (then OVERLOADED), kAsked requests
@@ -63,7 +63,8 @@ class PartnerCore {
     static constexpr std::size_t kEntities = 1000;
     static constexpr std::size_t kStreams = 64;
     static constexpr Duration kIdle = std::chrono::seconds{30};
-    /// Call onTimer() this often: a fifth of the shortest watchdog of a client.
+    /// Beats of a visitor who uses an entity: a fifth of the shortest watchdog of a client. Call onTimer()
+    /// twice as often.
     static constexpr Duration kTurn = std::chrono::milliseconds{50};
 
     PartnerCore(PartnerCoreSettings settings, const Clock& clock, HomePort& home, TherePort& there,
@@ -104,6 +105,8 @@ class PartnerCore {
     /// An axon.proto.ToEntity of a client at home.
     void onClientMsg(const std::string& entity, bool droppable, const Header& head, std::string bytes);
     void onClientUpdate(const std::string& entity, const std::string& client, ClientChange change);
+    /// More of this client waits than its share; `answer`: refuses its message, but for the reason.
+    void onClientFlood(const std::string& entity, const Sender& client, proto::ToClient answer);
     /// A reset or clear of a client who has no session there.
     void onCommandOfStranger(const std::string& entity, const Header& head);
 
@@ -200,8 +203,8 @@ class PartnerCore {
     TimePoint watch_beats_at_{};
     TimePoint watch_again_ = TimePoint::max();
     Backoff backoff_{std::chrono::milliseconds{100}, std::chrono::seconds{2}};
-    SessionNumber stops_ = 0;               // opening, or up
-    std::unique_ptr<Liveness> stops_heard_; // null: not up
+    SessionNumber stops_ = 0;                // opening, or up
+    std::unique_ptr<Liveness> stops_heard_;  // null: not up
     std::int64_t stops_beats_ = 0;
     TimePoint stops_beats_at_{};
     TimePoint stops_again_ = TimePoint::max();
@@ -211,6 +214,7 @@ class PartnerCore {
 
     std::map<std::string, Shown> entities_;        // by UUID there
     std::map<std::string, std::string> there_of_;  // UUID there, by UUID at home
+    bool limit_noted_ = false;                     // that there are more than kEntities
     std::set<std::string> hidden_;             // UUIDs there of entities whose names are not shown, and noted
     std::map<std::string, Visitor> visitors_;  // by client id at home
     std::map<SessionNumber, std::string> clients_of_;  // client id at home, by session

@@ -97,9 +97,11 @@ struct PartnerCoreTest : testing::Test {
 
     void SetUp() override {
         core.start();
+        EXPECT_THAT(there.opened, IsEmpty()) << "whoever sees a robot must be able to stop it";
+        core.onOpened(there.for_stops.back(), {"s", "lab-a", Role::Operator}, {});
+        core.onTimer();
         watch = there.opened.back().first;
         core.onOpened(watch, {"w", "lab-a", Role::Operator}, {});
-        core.onOpened(there.for_stops.back(), {"s", "lab-a", Role::Operator}, {});
         robot(kRobot, "PeopleBot");
         core.onStatus(watch, statusOf({}, EntityState::IDLE));
         core.onHomeUp(kRobotHome);
@@ -180,9 +182,15 @@ TEST_F(PartnerCoreTest, WhatThePartnerShowsForOthersIsNotShownAndSaidOnce) {
 }
 
 TEST_F(PartnerCoreTest, OnlySoManyEntitiesAreShown) {
+    robot("other", "a/Other");
     for (std::size_t i = 0; i <= PartnerCore::kEntities; ++i)
         robot("r-" + std::to_string(i), "Bot" + std::to_string(i));
     EXPECT_EQ(core.entities(), PartnerCore::kEntities);
+    EXPECT_EQ(
+        std::count_if(notes.begin(), notes.end(),
+                      [](const auto& line) { return line.find("has more than 1000") != std::string::npos; }),
+        1)
+        << "also when something else is not shown";
     robot(kRobot, "PeopleBot", Presence::Changed);
     EXPECT_EQ(home.shown.size(), 2U) << "those that are shown go on";
 }
@@ -496,6 +504,17 @@ TEST_F(PartnerCoreTest, WhoIsRefusedHasReleasedOrWatchesNoLongerLeavesAgain) {
     watching.mutable_watch()->set_on(false);
     say(kAnn, kMsgWatch, watching);
     EXPECT_TRUE(leaves(session)) << "no longer";
+}
+
+TEST_F(PartnerCoreTest, WhoSendsMoreThanItsShareIsRefused) {
+    proto::ToClient answer;
+    answer.mutable_reply()->set_request_id("1");
+    core.onClientFlood(kRobotHome, kBob, answer);
+    core.onClientFlood("unknown", kBob, answer);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].head.sender.id, "bob-id");
+    EXPECT_EQ(home.sent[0].message.reply().request_id(), "1");
+    EXPECT_EQ(home.sent[0].message.reply().refusal().code(), proto::OVERLOADED);
 }
 
 TEST_F(PartnerCoreTest, AResetOfWhoHoldsNothingIsRefusedBySignal) {

@@ -23,14 +23,15 @@ namespace axon::partner {
 ///
 /// Where in the flow: what a server at home says to an entity that is shown comes in by stop() and command(),
 /// on the threads of the signal lane; it leaves on the signal lane of a session there. A stop of a client
-/// that has a session there goes by that one, under its own number; any other goes by a session for such stops,
-/// under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it for the
-/// same stop; sent again within kRepeat, it is on its way already and is not passed on. translate() turns what a receipt there says into what it says at home.
+/// that has a session there goes by that one, under its own number; any other goes by a session for such
+/// stops, under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it
+/// for the same stop; sent again within kRepeat, it is on its way already and is not passed on. translate()
+/// turns what a receipt there says into what it says at home.
 ///
 /// Threads: any; no call waits, and nothing is sent while the lock is held. Bounds: kRemembered stops that
-/// went by the session for them, kRememberedOfOne of each client, and kRemembered sessions that have ended; the
-/// oldest go first, and a stop that is sent again after that is a new one. Of kRecent stops the last kRepeat is
-/// known; of more at once, all are passed on.
+/// went by the session for them, kRememberedOfOne of each client, and kRemembered sessions that have ended;
+/// the oldest go first, and a stop that is sent again after that is a new one. Of kRecent stops the last
+/// kRepeat is known; of more at once, all are passed on.
 class SignalRelay {
   public:
     static constexpr std::size_t kRemembered = 4096;
@@ -84,9 +85,9 @@ class SignalRelay {
     const Clock& clock_;
     mutable std::mutex mutex_;
     // Guarded by mutex_:
-    std::shared_ptr<const client::StopLanes> stops_;  // of the session for strangers' stops
-    Sender stopper_;                                  // who that is
-    std::int64_t last_ = 0;                           // number of a stop by it
+    std::shared_ptr<const client::StopLanes> stops_;             // of the session for strangers' stops
+    Sender stopper_;                                             // who that is
+    std::int64_t last_ = 0;                                      // number of a stop by it
     std::map<std::string, std::deque<std::int64_t>> of_client_;  // its numbers in origins_, by client at home
     using Sent = std::pair<std::int64_t, std::string>;           // number and entity there
     std::map<Sent, TimePoint> recent_;

@@ -21,9 +21,8 @@ bool isLaboratoryName(std::string_view name);
 /// again and again; and for a name that no server would take with the laboratory's before it.
 std::optional<std::string> nameAtHome(std::string_view laboratory, std::string_view name);
 
-/// What a client of `laboratory` is called there. A server with users calls it USER@ and what follows the
-/// last
-/// '@' of this, so that has the whole name of the client.
+/// What a client of `laboratory` is called there. A server with users replaces what is before the last '@'
+/// with the user's name, so all of the client's name comes after it.
 std::string displayName(std::string_view laboratory, std::string_view client);
 
 /// "ID:SEQ", the stop_id of a receipt and the request_id of a refused reset or clear.
