@@ -319,7 +319,7 @@ TEST_P(DataDoorTest, WhoIsTurnedAwayIsRecordedByItsAddress) {
     EXPECT_TRUE(waitUntil([&] {
         clock.advance(100ms);
         return trail.has(
-            "|refusal|||the entity|direct path: 1 connection from 127.0.0.1 was closed: no session");
+            "refusal|||the entity|direct path: 1 connection from 127.0.0.1 was closed: no session");
     })) << trail.last();
     EXPECT_TRUE(trail.last().ends_with("|OVERLOADED")) << trail.last();
     const auto before = trail.notes().size();
