@@ -134,6 +134,9 @@ class Machines:
             file.write_text(file.read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={file.parent}/certs"))
         application = self.here(self.registry) / "icegrid.xml"
         application.write_text(application.read_text().replace(f'"{hosts.PROGRAMS}"', f'"{self.lab.bin}"'))
+        installed, built = (configuration.Place("", programs, "").guard()[0] for programs in (hosts.PROGRAMS, self.lab.bin))
+        for file in (self.folder / "out").glob("*/glacier2*.cfg"):
+            file.write_text(file.read_text().replace(str(installed), str(built)))
         users = self.folder / "users.cfg"
         for machine in self.layout:
             services = self.here(machine) / "globalservices"

@@ -277,7 +277,8 @@ struct HttpServer::Parts {
     void endOfSilent(MHD_Connection* connection, int fd) const {
         tcp_info its{};
         socklen_t size = sizeof its;
-        if (::getsockopt(fd, IPPROTO_TCP, TCP_INFO, &its, &size) != 0 || its.tcpi_bytes_received == 0) return;
+        // A FIN counts as a byte, so who sends only one is not told from who only leaves.
+        if (::getsockopt(fd, IPPROTO_TCP, TCP_INFO, &its, &size) != 0 || its.tcpi_bytes_received <= 1) return;
         const auto* info = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CLIENT_ADDRESS);
         core->turnAway(
             info == nullptr ? "an unknown address" : textOf(info->client_addr, sizeof(sockaddr_in)),
