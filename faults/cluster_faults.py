@@ -321,25 +321,28 @@ class Run:
         return self.lab.server.names(NAMES.get(kind.victim, kind.victim))
 
     def affected(self, kind, victim, holders):
-        """The names of the robots whose connection to their client goes through that program; None where that is not known."""
-        port = next((int(at.rpartition(":")[2]) for program in self.lab.server.status["programs"] if program["name"] == victim
-                     for what, at in program["ports"].items() if what in ("clients", "entities")), None)
-        if kind.victim == CLIENT_ROUTER:
-            through = {client for client in self.clients if is_connected(client.child.pid, port)}
-            return {robot.name for robot in self.robots if robot.client in through}
-        if kind.victim == ENTITY_ROUTER:
-            return {robot.name for robot in self.robots if is_connected(robot.manager.child.pid, port)}
+        """(names of the robots whose connection to their client goes through that program, names of those whose does not); the
+        others may be either."""
+        ports = {program["name"]: int(at.rpartition(":")[2]) for program in self.lab.server.status["programs"]
+                 for what, at in program["ports"].items() if what in ("clients", "entities")}
+        if kind.victim in (CLIENT_ROUTER, ENTITY_ROUTER):
+            # Whoever has left a router that was cut off may be connected to it for some seconds more.
+            to = {}
+            for robot in self.robots:
+                pid = (robot.client if kind.victim == CLIENT_ROUTER else robot.manager).child.pid
+                to[robot.name] = [router for router in self.candidates(kind) if is_connected(pid, ports[router])]
+            return {name for name, routers in to.items() if routers == [victim]}, {name for name, routers in to.items() if victim not in routers}
         if kind.victim == FRONT_END:
-            return {name for name, holder in holders.items() if holder.split(":")[0] == victim}
-        return None if kind.victim == ENTITY_SERVER else set()
+            through = {name for name, holder in holders.items() if holder.split(":")[0] == victim}
+            return through, set(self.names) - through
+        return set(), set() if kind.victim == ENTITY_SERVER else set(self.names)
 
     def trial(self, kind, report):
         holders = self.prepare()
         candidates = self.candidates(kind)
         replaceable = len(candidates) > 1
         victim = self.random.choice(candidates)
-        affected = self.affected(kind, victim, holders)
-        must, spared = (set(), set()) if affected is None else (affected, set(self.names) - affected)
+        must, spared = self.affected(kind, victim, holders)
         server = self.lab.server
         record = server.record(victim)
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
