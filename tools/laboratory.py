@@ -139,7 +139,24 @@ def keep_if_failed(test, folder):
         shutil.rmtree(folder, ignore_errors=True)
 
 
-class Cluster:
+class Programs:
+    """Those of several servers. Who derives from it has `status`, as `axon-cluster status --json` says it, and do(verb, name)."""
+
+    def names(self, *kinds):
+        """Of the programs whose names begin so: fe, es, icestorm, …"""
+        return [program["name"] for program in self.status["programs"] if program["name"].startswith(kinds)]
+
+    def kill(self):
+        """kill -9 of every server."""
+        for name in self.names("fe", "es"):
+            self.do("kill", name)
+
+    def text(self):
+        return "".join(pathlib.Path(program["log"]).read_text(errors="replace") for program in self.status["programs"]
+                       if program["name"].startswith(("fe", "es")))
+
+
+class Cluster(Programs):
     """What `axon-cluster` started, in the place of one server process: killed and ended as that is."""
 
     def __init__(self, lab, shape):
@@ -164,10 +181,6 @@ class Cluster:
         self.do("up", *self.shape)
         self.status = json.loads(self.do("status", "--json"))
 
-    def names(self, *kinds):
-        """Of the programs whose names begin so: fe, es, icestorm, …"""
-        return [program["name"] for program in self.status["programs"] if program["name"].startswith(kinds)]
-
     def record(self, name):
         """Of the process of that program, for processes.strike() of deploy/cluster."""
         return json.loads((self.folder / "running.json").read_text())[name]
@@ -175,15 +188,6 @@ class Cluster:
     def start_again(self, name):
         """A program that was killed."""
         self.do("restart", name)
-
-    def kill(self):
-        """kill -9 of every server."""
-        for name in self.names("fe", "es"):
-            self.do("kill", name)
-
-    def text(self):
-        return "".join(pathlib.Path(program["log"]).read_text(errors="replace") for program in self.status["programs"]
-                       if program["name"].startswith(("fe", "es")))
 
     def end(self):
         self.command("down")

@@ -68,7 +68,6 @@ class Machine:
 
     def __init__(self, address, folder, at, lab):
         """`folder`: what lies at `at` for those who are on it."""
-        self.address, self.folder = address, folder
         self.cable = f"cable{next(_cables)}"
         self.holder = laboratory.Process(f"machine-{address}", [
             "setpriv", "--pdeathsig", "KILL", "unshare", "--net", "--mount", "sh", "-c",
@@ -98,7 +97,7 @@ class Machine:
         self.holder.kill()
 
 
-class Machines:
+class Machines(laboratory.Programs):
     """In the place of laboratory.Cluster. `layout`: {address: the programs there}."""
 
     def __init__(self, lab, layout):
@@ -179,10 +178,6 @@ class Machines:
         done = subprocess.run(words, env=self.lab.env, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=SECONDS, check=False)
         return done.stdout + done.stderr
 
-    def names(self, *kinds):
-        """Of the programs whose names begin so: fe, es, icestorm, …"""
-        return [name for name in self.programs if name.startswith(kinds)]
-
     def machine(self, name):
         """That of a program."""
         return self.machines[self.programs[name]]
@@ -225,15 +220,6 @@ class Machines:
             self.registry_process.end()
             self.start_registry()
         laboratory.wait_until(lambda: self.runs(name), f"{name} is started again", SECONDS)
-
-    def kill(self):
-        """kill -9 of every server."""
-        for name in self.names("fe", "es"):
-            self.do("kill", name)
-
-    def text(self):
-        return "".join(pathlib.Path(program["log"]).read_text(errors="replace") for program in self.status["programs"]
-                       if program["name"].startswith(("fe", "es")))
 
     def end(self):
         for machine in self.machines.values():

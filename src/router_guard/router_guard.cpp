@@ -4,7 +4,6 @@
 #include <Ice/Ice.h>
 
 #include <algorithm>
-#include <exception>
 
 namespace axon::router_guard {
 
@@ -16,7 +15,7 @@ constexpr const char* kLogIn[] = {"Glacier2.PermissionsVerifier", "Glacier2.SSLP
 constexpr auto kPeriod = std::chrono::milliseconds{250};
 constexpr int kAnswerMs = 1000;
 
-/// A call that nobody implements: who says so is there.
+/// That the object is not there is an answer, too.
 bool answers(const Ice::ObjectPrx& server) {
     try {
         server->ice_ping();
@@ -63,13 +62,10 @@ void RouterGuard::findServers(const std::stop_token& ended) {
             if (std::find(known.begin(), known.end(), endpoint) != known.end()) continue;
             known.push_back(endpoint);
             const auto server = proxy->ice_endpoints({endpoint})
-                                    ->ice_locatorCacheTimeout(-1)
                                     ->ice_connectionCached(true)
                                     ->ice_invocationTimeout(kAnswerMs);
             guards_.emplace_back([this, server](const std::stop_token& its_end) { guard(server, its_end); });
         }
-    }
-    while (pause(ended)) {
     }
 }
 
