@@ -140,7 +140,7 @@ def keep_if_failed(test, folder):
 
 
 class Programs:
-    """Those of several servers. Who derives from it has `status`, as `axon-cluster status --json` says it, and do(verb, name)."""
+    """Those of several servers. A derived class has `status`, as `axon-cluster status --json` says it, and do(verb, name)."""
 
     def names(self, *kinds):
         """Of the programs whose names begin so: fe, es, icestorm, …"""

@@ -169,7 +169,7 @@ class Machines(laboratory.Programs):
                                   self.lab.folder, self.lab.env)
 
     def here(self, machine):
-        """The folder of a machine, for who is not on it."""
+        """The folder of a machine, as the others see it."""
         return self.folder / "out" / machine
 
     def admin(self, words):
@@ -193,7 +193,7 @@ class Machines(laboratory.Programs):
         return processes.runs(self.record(name))
 
     def answers(self, name):
-        """Whether a replica of IceStorm does, which speaks to servers only."""
+        """Whether a replica of IceStorm answers; it speaks to servers only."""
         certs = self.here(self.programs["fe1"]) / "certs"
         stem = configuration.certificate_of(self.plan, "fe1")
         context = ssl.create_default_context(cafile=certs / "ca.cert.pem")
