@@ -5,8 +5,10 @@
     python3 tests/e2e/partner_test.py --bin build/dev/bin [unittest options]
 
 Laboratory a is where the people of these tests are; b has the cart of examples/04_stop, users, and its list of who may
-do what. The gateway is a client of b, called lab-a there.
+do what. The gateway is a client of b, called lab-a there. First both have one server and passwords; then each has
+certificates of its own CA, and b two servers of each kind behind routers.
 """
+import collections
 import json
 import os
 import pathlib
@@ -15,22 +17,26 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
+import processes  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import Laboratory, addresses, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
+from laboratory import Failed, Laboratory, addresses, programs, robot_ports, sockets_of, wait_until  # noqa: E402
 
 BIN = programs()
 ROBOT = "b/Cart"
+STOPPED_WITHIN_S = 0.25 + 0.1  # the watchdog, and what is granted to the way
+USABLE_WITHIN_S = 5
 
 
 class Lab(Laboratory):
     """One of the two: its Cart, and people with an agent of their own."""
 
-    def __init__(self):
-        super().__init__(BIN, application="Cart", environment="embedded")
+    def __init__(self, environment="embedded"):
+        super().__init__(BIN, application="Cart", environment=environment)
         self.people = {}
 
     def person(self, name):
@@ -64,13 +70,17 @@ class Lab(Laboratory):
         super().end()
 
 
+def add_user(file, name, its):
+    done = subprocess.run([BIN / "axon", "users", "add", name, its, "--file", file], input=f"{name}-secret\n",
+                          capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def users(folder):
     """b's users: its own ones, its Entity Managers, and the gateway of laboratory a."""
     file = folder / "users.cfg"
     for name, its in (("lab-a", "operator"), ("entities", "entity"), ("local", "admin")):
-        done = subprocess.run([BIN / "axon", "users", "add", name, its, "--file", file], input=f"{name}-secret\n",
-                              capture_output=True, text=True, timeout=30, check=False)
-        assert done.returncode == 0, done.stdout + done.stderr
+        add_user(file, name, its)
     return file
 
 
@@ -244,54 +254,171 @@ class PartnerTest(unittest.TestCase):
 
 
 class CertificateTest(unittest.TestCase):
-    """What laboratory a makes of a gateway's certificate."""
+    """Each laboratory has a CA of its own, and the gateway a certificate of each. b is a cluster: two servers of each kind and
+    two routers for each. Both are there for all tests; each begins with a cart that is free and rearmed."""
 
-    def setUp(self):
-        self.a = Lab()
-        self.addCleanup(self.tidy)
+    kept = False
+
+    @classmethod
+    def setUpClass(cls):
+        cls.a, cls.b = Lab(), Lab("cluster")
+        cls.addClassCleanup(cls.tidy)
         for words in (("init",), ("issue", "--server", "localhost"), ("issue", "--entity", "b/"), ("issue", "--entity", "c/"),
-                      ("issue", "--client", "ann")):
-            status, lines, errors = self.a.axon("certs", *words, "--folder", self.a.folder / "certs")
-            self.assertEqual(status, 0, f"{words} {lines} {errors}")
-        self.b = Lab()
-        self.b.start_server()
-        config = self.config("server-localhost", *[f"{key}.Endpoints=ssl -h 127.0.0.1 -p 0" for key in (
-            "FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")])
-        self.server = self.a.start("server", "axon-server", "--config", config)
-        self.at = {name: at.replace("127.0.0.1", "localhost") for name, at in addresses(self.server.wait_for("ready ")).items()}
-        self.a.env["AXON_CONFIG"] = str(self.config("client-ann", f"Axon.Server={self.at['client']}"))
-        self.b.start_cart()
+                      ("issue", "--entity", "guests/"), ("issue", "--client", "ann"), ("issue", "--client", "lab-a")):
+            cls.certs(cls.a, cls.a.folder / "certs", *words)
+        server = cls.a.start("server", "axon-server", "--config", cls.config(cls.a, "server-localhost", *[
+            f"{key}.Endpoints=ssl -h 127.0.0.1 -p 0" for key in (
+                "FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")]))
+        cls.a.server = server
+        cls.b.start_cluster(shape=("--base-port", 0, "--tls", "--front-ends", 2, "--entity-servers", 2, "--routers", 2))
+        for words in (("--client", "lab-a"), ("--client", "guests"), ("--client", "unknown"), ("--entity", "lab-a")):
+            cls.certs(cls.b, cls.b.server.folder / "certs", "issue", *words)
+        for name, its in (("lab-a", "operator"), ("guests", "observer")):
+            add_user(cls.b.server.folder / "users.cfg", name, its)
+        cls.a.at = {name: at.replace("127.0.0.1", "localhost") for name, at in addresses(server.wait_for("ready ")).items()}
+        cls.a.env["AXON_CONFIG"] = str(cls.config(cls.a, "client-ann", f"Axon.Server={cls.a.at['client']}"))
+        grace = cls.b.folder / "grace.cfg"
+        grace.write_text("Axon.LeaseGrace=1\n")
+        cls.cart = cls.b.start_cart("--config", grace)
+        cls.gateway = cls.start_gateway()
+        wait_until(lambda: cls.a.seen().get(ROBOT), "a sees b's cart", 30)
 
-    def tidy(self):
-        self.a.end()
-        self.b.end()
-        keep_if_failed(self, self.a.folder)
-        keep_if_failed(self, self.b.folder)
+    def tearDown(self):
+        result = self._outcome.result
+        if any(one is self for one, _ in result.failures + result.errors):
+            CertificateTest.kept = True
+            self.b.server.do("up")  # for the next one
 
-    def config(self, name, *more):
-        files = sorted((self.a.folder / "certs").glob("*.cfg"))
-        wanted = [file for file in files if file.stem == name]
-        self.assertTrue(wanted, f"{name} of {[file.name for file in files]}")
-        file = self.a.folder / f"{name}-{len(self.a.processes)}.cfg"
-        file.write_text("\n".join([wanted[0].read_text(), *more, ""]))
+    @staticmethod
+    def certs(lab, folder, *words):
+        status, lines, errors = lab.axon("certs", *words, "--folder", folder)
+        assert status == 0, f"{words} {lines} {errors}"
+
+    @classmethod
+    def tidy(cls):
+        PartnerTest.tidy.__func__(cls)
+
+    @classmethod
+    def config(cls, lab, name, *more):
+        """The file that `axon certs issue` wrote with the certificate, with more lines."""
+        folder = (lab.server.folder if lab.behind_routers else lab.folder) / "certs"
+        file = cls.a.folder / f"{name}-{len(cls.a.processes)}.cfg"
+        file.write_text("\n".join([(folder / f"{name}.cfg").read_text(), *more, ""]))
         return file
 
-    def start_gateway(self, certificate):
-        return self.a.start(f"gateway-{certificate}", "axon-partner", "--name", "b", "--as", "a", "--server",
-                            self.b.at["client"], "--entity-config",
-                            self.config(certificate, f"Axon.Server={self.at['entity']}"), "--state",
-                            self.a.folder / f"state-{certificate}")
+    @classmethod
+    def start_gateway(cls, there=None, at_home="entity-b_", name="b"):
+        """With these files for b and for a; usually those of a gateway that is to be let in."""
+        its = cls.a.start(f"gateway-{name}-{len(cls.a.processes)}", "axon-partner", "--name", name, "--as", "a", "--client-config",
+                          there or cls.config(cls.b, "client-lab-a", cls.routers_of_b()), "--entity-config",
+                          cls.config(cls.a, at_home, f"Axon.Server={cls.a.at['entity']}"), "--state", cls.a.folder / name)
+        its.wait_for("ready ")
+        return its
+
+    @classmethod
+    def routers_of_b(cls):
+        lines = pathlib.Path(cls.b.server.status["client_config"]).read_text().splitlines()
+        return next(line for line in lines if line.startswith("Ice.Default.Router="))
+
+    def drive(self):
+        """A client of its own drives b's cart; the client, and when it was asked to."""
+        tried = []
+
+        def drives():
+            since = time.monotonic()
+            self.a.says("bob", "rearm", ROBOT)
+            client = self.a.axon_in_background("drive", "--name", "ann@lab", "run", ROBOT, "Drive", "Seconds=10",
+                                               env=self.a.person("ann"))
+            tried.append(client)
+            # After half a second, when the beats have long been fast.
+            wait_until(lambda: '"progress":0.' in client.text() or client.child.poll() is not None, "it drives or is refused", 20)
+            return client.child.poll() is None and (client, since)
+        try:
+            return wait_until(drives, "the cart drives", 30)
+        except Failed as failure:
+            raise Failed(f"{failure}: {tried[-1].text()}") from failure
+
+    def assert_stops(self, what, strike, why="the holding client is lost"):
+        """That the cart has stopped, in time after strike(); when that was."""
+        said = len(self.cart.text())
+        since = time.monotonic()
+        strike()
+        wait_until(lambda: f"stop: {why}" in self.cart.text()[said:], f"the cart has stopped: {what}", 9)
+        took = time.monotonic() - since
+        print(f"\n{what}: stopped after {took * 1000:.0f} ms", end="", file=sys.stderr, flush=True)
+        self.assertLess(took, STOPPED_WITHIN_S)
+        return since
+
+    def assert_usable(self, since):
+        """Who asks within five seconds of `since` can rearm and drive it. The client that does."""
+        client, asked = self.drive()
+        print(f", driven again by who asked after {asked - since:.1f} s", end="", file=sys.stderr, flush=True)
+        self.assertLess(asked - since, USABLE_WITHIN_S)
+        return client
+
+    def kill_in_b(self, name):
+        processes.strike(self.b.server.record(name), signal.SIGKILL, 5)
+
+    def which(self, kind, line):
+        """The server of b whose log has said this last."""
+        def last(name):
+            log = next(one["log"] for one in self.b.server.status["programs"] if one["name"] == name)
+            return max((its for its in pathlib.Path(log).read_text().splitlines() if line in its), default="")
+        return max(self.b.server.names(kind), key=last)
+
+    def routed(self):
+        """How many connections the gateway has to each of b's routers, by their names."""
+        ports = [one.remote_port for one in sockets_of(self.gateway.child.pid) if one.state == "01"]
+        return collections.Counter(program["name"] for program in self.b.server.status["programs"] for port in ports
+                                   if any(at.endswith(f":{port}") for at in program["ports"].values()))
 
     def test_it_announces_entities_of_its_own_laboratory_only(self):
-        files = [file.stem for file in (self.a.folder / "certs").glob("entity-*.cfg")]
-        of_b, of_c = (next(name for name in files if name.startswith(f"entity-{its}")) for its in ("b", "c"))
-        self.start_gateway(of_c)
-        wait_until(lambda: "a partner's laboratory; expected a name that begins so" in self.server.text(), "it is refused", 20)
-        self.assertEqual(self.a.seen(), {})
-        self.start_gateway(of_b)
-        wait_until(lambda: self.a.seen().get(ROBOT), "the right one is let in", 20)
-        status, lines, errors = self.a.says("ann", "run", ROBOT, "Drive", "Seconds=0.2")
+        other = self.start_gateway(at_home="entity-c_", name="d")
+        wait_until(lambda: "a partner's laboratory; expected a name that begins so" in self.a.server.text(), "it is refused", 20)
+        self.assertEqual(list(self.a.seen()), [ROBOT])
+        other.end()
+
+    def test_b_lets_nobody_in_but_its_own_certificates_each_with_the_role_of_its_user(self):
+        router = self.routers_of_b()
+        started = {name: self.start_gateway(file, name=name) for name, file in (
+            ("other-ca", self.config(self.a, "client-lab-a", router)),
+            ("no-user", self.config(self.b, "client-unknown", router)),
+            ("no-client", self.config(self.b, "entity-lab-a", router)))}
+        started["guests"] = self.start_gateway(self.config(self.b, "client-guests", router), "entity-guests_", "guests")
+        for name, expected in (("other-ca", "of another CA"), ("no-user", "no user 'unknown'"),
+                               ("no-client", "axon certs issue --client")):
+            with self.subTest(name):
+                wait_until(lambda its=started[name], text=expected: text in its.text(), f"it is told why: {expected}", 20)
+        wait_until(lambda: sorted(self.a.seen()) == [ROBOT, "guests/Cart"], "observers of b see it", 20)
+        # As an observer of b, whoever it is in a.
+        _, lines, errors = self.a.says("ann", "checkout", "guests/Cart")
+        self.assertEqual([line["code"] for line in lines if line["event"] == "error"], ["PERMISSION_DENIED"], errors)
+        client, _ = self.drive()
+        status, lines, errors = self.a.says("bob", "stop", "guests/Cart")
         self.assertEqual(status, 0, f"{lines} {errors}")
+        self.assertIn("callback_returned", json.dumps(lines).lower())
+        client.kill()
+        for gateway in started.values():
+            gateway.end()
+        wait_until(lambda: list(self.a.seen()) == [ROBOT], "they leave", 20)
+
+    def test_whoever_is_frozen_or_killed_the_robot_stops_and_can_be_used_again(self):
+        # What is killed in b is not started again: it has another one of each.
+        before = self.routed()
+        self.drive()
+        router = max((self.routed() - before).items(), key=lambda its: its[1])[0]
+        client = self.assert_usable(self.assert_stops(f"{router} killed", lambda: self.kill_in_b(router)))
+        since = self.assert_stops("client frozen", lambda: client.child.send_signal(signal.SIGSTOP))
+        client.kill()
+        client = self.assert_usable(since)
+        self.assert_usable(self.assert_stops("client killed", client.kill))
+        name = self.which("fe", "client lab-a@ann at lab joined")
+        self.assert_usable(self.assert_stops(f"{name} killed", lambda: self.kill_in_b(name)))
+        self.assert_stops("gateway killed", self.gateway.kill)
+        CertificateTest.gateway = self.start_gateway()
+        self.assert_usable(time.monotonic())
+        name = self.which("es", "Cart")
+        self.assert_usable(self.assert_stops(f"{name} killed", lambda: self.kill_in_b(name), "the server is lost"))
 
 
 if __name__ == "__main__":
