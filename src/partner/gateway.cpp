@@ -284,9 +284,12 @@ void Gateway::stopSignal(const ShownEntity& entity, const Header& head, StopCaus
         if (!connection) return;
         return cause == StopCause::Released ? leaveSoon(connection) : connection->drop();
     }
-    if (!signals_.stop(entity.there, head, cause))
-        spdlog::warn("a stop of {} for {} was not passed on: there is no session in its laboratory",
-                     head.sender.name, entity.name);
+    const auto passed = signals_.stop(entity.there, head, cause);
+    if (passed == SignalRelay::Passed::Sent || !warnings_.admit(clock_.now())) return;
+    spdlog::warn("a stop of {} for {} was not passed on: {}", head.sender.name, entity.name,
+                 passed == SignalRelay::Passed::TooMany
+                     ? "there are too many, while the session for them is opened again"
+                     : "there is no session in its laboratory");
 }
 
 void Gateway::command(client::Operation operation, const ShownEntity& entity, const Header& head) {
@@ -442,8 +445,8 @@ std::shared_ptr<const client::ServerConnection> Gateway::connectionOf(SessionNum
     return found == sessions_.end() ? nullptr : found->second->connection;
 }
 
-void Gateway::stopsBy(SessionNumber session) {
-    if (const auto its = connectionOf(session)) signals_.stopBy(its->me(), its);
+void Gateway::stopsBy(SessionNumber session, bool shared) {
+    if (const auto its = connectionOf(session)) signals_.stopBy(its->me(), its, shared);
 }
 
 void Gateway::visits(SessionNumber session, const Sender& client) {

@@ -12,6 +12,7 @@
 #include "client/connection/communicators.hpp"
 #include "client/connection/server_connection.hpp"
 #include "common/clock.hpp"
+#include "common/rate_limit.hpp"
 #include "entity_manager/links/server/entity_communicator.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 #include "partner/partner_core.hpp"
@@ -87,7 +88,7 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
 
     // TherePort, on the strand.
     void open(SessionNumber session, const std::string& display_name, Use use) override;
-    void stopsBy(SessionNumber session) override;
+    void stopsBy(SessionNumber session, bool shared) override;
     void visits(SessionNumber session, const Sender& client) override;
     bool send(SessionNumber session, client::Operation operation, const Header& head,
               std::string bytes) override;
@@ -110,6 +111,7 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     const std::shared_ptr<entity_manager::ServerCommunicators> home_ice_;
     client::Communicators there_ice_;
     SignalRelay signals_;
+    RateLimit warnings_{10};               // of stops that were not passed on
     std::atomic<std::size_t> waiting_{0};  // bytes
     ClientShares shares_;
     std::atomic<std::size_t> leaving_{0};

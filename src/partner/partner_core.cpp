@@ -43,10 +43,15 @@ void PartnerCore::openStops() {
 }
 
 void PartnerCore::endStops() {
-    signals_.noStopBy();
     if (stops_ != 0) there_.drop(std::exchange(stops_, 0));
     stops_heard_.reset();
+    stopsByWatch();
     if (!stopped_) stops_again_ = clock_.now() + stops_backoff_.next();
+}
+
+void PartnerCore::stopsByWatch() {
+    if (watcher_.id.empty()) return signals_.noStopBy();
+    there_.stopsBy(watch_, true);
 }
 
 void PartnerCore::openWatch() {
@@ -92,11 +97,12 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
         stops_beats_at_ = now;
         stops_backoff_.reset();
         stops_noted_ = false;
-        return there_.stopsBy(session);
+        return there_.stopsBy(session, false);
     }
     if (session == watch_) {
         watcher_ = me;
         if (stops_ == 0) stops_again_ = now;
+        if (!stops_heard_) stopsByWatch();
         watched_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
         watch_beats_at_ = now;
         backoff_.reset();
@@ -121,8 +127,10 @@ void PartnerCore::onRefused(SessionNumber session, const Refusal& refusal) {
     if (session == stops_) {
         stops_ = 0;  // there is none that could be ended
         if (!watcher_.id.empty() && !std::exchange(stops_noted_, true))
-            note_("stops of clients without a session are not passed on: laboratory " + settings_.laboratory +
-                  " gives none for them (" + refusal.message + "); trying again until it does");
+            note_("laboratory " + settings_.laboratory +
+                  " gives no session for stops of clients without one (" + refusal.message +
+                  "); of each of them, " + std::to_string(SignalRelay::kSharedOfOne) +
+                  " stops in a second are passed on until it does");
         return endStops();
     }
     if (session == watch_) {
@@ -163,6 +171,7 @@ void PartnerCore::lose(const std::string& why) {
     const bool was_up = !watcher_.id.empty();
     const auto session = std::exchange(watch_, 0);
     watcher_ = {};
+    if (!stops_heard_) signals_.noStopBy();
     if (session != 0) there_.drop(session);
     const Refusal lost{RefusalCode::OutcomeUnknown,
                        "Laboratory " + settings_.laboratory + " was lost while it was under way: " + why,
@@ -372,8 +381,8 @@ void PartnerCore::onEntityMsg(SessionNumber session, Lane lane, bool droppable, 
     its.entity = shown->names.home;
     proto::ToClient message;
     if (!droppable && !message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
-    if (session == stops_) {
-        // What else comes there is for nobody.
+    if (session == stops_ || session == watch_) {
+        // Of stops that went by it; what else comes there is for nobody.
         if (droppable || !message.has_receipt()) return;
         const auto client = signals_.translate(*message.mutable_receipt());
         if (!client) return;

@@ -44,8 +44,8 @@ struct PartnerCoreSettings {
 /// s apart), with it. A visitor is opening, up or gone. When a session there is lost or silent, its client is
 /// lost there, and its robots stop. When the session that watches is, all sessions there end and every entity
 /// leaves home. The session for stops of clients without one of their own is opened again in the same way,
-/// and its end ends nothing else. When the server at home is lost or silent, the visitors who asked for that
-/// entity are dropped, for the same reason.
+/// and its end ends nothing else: until then these stops go by the session that watches. When the server at
+/// home is lost or silent, the visitors who asked for that entity are dropped, for the same reason.
 ///
 /// Threads: one strand, on which the ports call back, too. Signals do not pass here: SignalRelay.
 /// Bounds: kWaitingMessages and kWaitingBytes for a visitor who is opening (then OVERLOADED), kAsked requests
@@ -184,6 +184,8 @@ class PartnerCore {
     void openWatch();
     void openStops();
     void endStops();
+    /// There is no session for them alone.
+    void stopsByWatch();
     /// Returns whether it changed.
     bool translate(const Shown& entity, Visitor& visitor, Lane lane, proto::ToClient& message);
 

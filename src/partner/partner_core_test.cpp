@@ -5,6 +5,8 @@
 
 #include <vector>
 
+#include "partner/translation.hpp"
+
 namespace axon::partner {
 namespace {
 
@@ -58,7 +60,10 @@ struct There final : TherePort {
         else
             opened.emplace_back(session, name);
     }
-    void stopsBy(SessionNumber session) override { stopping.push_back(session); }
+    void stopsBy(SessionNumber session, bool shared) override {
+        stopping.push_back(session);
+        stops_shared = shared;
+    }
     void visits(SessionNumber session, const Sender& client) override { visiting[session] = client.id; }
     bool send(SessionNumber session, client::Operation operation, const Header& head,
               std::string bytes) override {
@@ -72,11 +77,17 @@ struct There final : TherePort {
     std::vector<std::pair<SessionNumber, std::string>> opened;
     std::vector<SessionNumber> for_stops;  // opened for strangers' stops
     std::vector<SessionNumber> stopping;   // that take them
+    bool stops_shared = false;             // the last of these
     std::map<SessionNumber, std::string> visiting;
     bool full = false;
     std::vector<ToThere> sent;
     std::map<SessionNumber, int> beats;
     std::vector<SessionNumber> left, dropped;
+};
+
+struct NoLanes final : client::StopLanes {
+    void sendStopSignal(Lane, const Header&, StopCause) const override {}
+    void sendStopSignals(Lane, const Header&, const std::vector<std::string>&, StopCause) const override {}
 };
 
 constexpr const char* kRobot = "r1";
@@ -670,16 +681,20 @@ TEST_F(PartnerCoreTest, TheSessionForStrangersStopsEndsAloneAndIsOpenedAgain) {
     EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0]));
     core.onClosed(there.for_stops[0], "flooded");
     EXPECT_THAT(there.dropped, ElementsAre(there.for_stops[0]));
+    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0], watch)) << "until there is another one";
+    EXPECT_TRUE(there.stops_shared);
     EXPECT_THAT(home.left, IsEmpty());
     EXPECT_EQ(core.visitors(), 1U);
     pass(200ms);
     ASSERT_EQ(there.for_stops.size(), 2U);
     core.onRefused(there.for_stops[1], {RefusalCode::Overloaded, "full", {}});
-    EXPECT_THAT(notes, testing::Contains(HasSubstr("stops of clients without a session")));
+    EXPECT_THAT(notes, testing::Contains(HasSubstr("no session for stops of clients without one (full)")));
+    EXPECT_EQ(there.stopping.back(), watch);
     pass(400ms);
     ASSERT_EQ(there.for_stops.size(), 3U);
     core.onOpened(there.for_stops[2], {"s2", "lab-a", Role::Operator}, {});
-    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0], there.for_stops[2]));
+    EXPECT_EQ(there.stopping.back(), there.for_stops[2]);
+    EXPECT_FALSE(there.stops_shared);
     // It beats, and its own silence ends only itself.
     for (int i = 0; i < 11; ++i) {
         for (const auto session : {watch, ann}) core.onHeartbeat(session);
@@ -689,6 +704,40 @@ TEST_F(PartnerCoreTest, TheSessionForStrangersStopsEndsAloneAndIsOpenedAgain) {
     EXPECT_GT(there.beats[there.for_stops[2]], 4);
     EXPECT_THAT(there.dropped, ElementsAre(there.for_stops[0], there.for_stops[2]));
     EXPECT_EQ(core.visitors(), 1U);
+}
+
+TEST_F(PartnerCoreTest, WithoutASessionForStrangersStopsTheOneThatWatchesTakesThemFromTheBeginning) {
+    core.onClosed(there.for_stops[0], "flooded");
+    core.onClosed(watch, "lost");
+    pass(200ms);
+    core.onRefused(there.for_stops.back(), {RefusalCode::Overloaded, "full", {}});
+    pass(25ms);
+    const auto again = there.opened.back().first;
+    ASSERT_NE(again, watch);
+    core.onOpened(again, {"w2", "lab-a", Role::Operator}, {});
+    EXPECT_EQ(there.stopping.back(), again);
+    EXPECT_TRUE(there.stops_shared);
+}
+
+TEST_F(PartnerCoreTest, AReceiptThatComesByTheSessionThatWatchesIsForWhoStopped) {
+    const auto lanes = std::make_shared<NoLanes>();
+    signals.stopBy({"w", "lab-a", Role::Operator}, lanes, true);
+    Header stop;
+    stop.sender = kBob;
+    stop.sequence = 7;
+    EXPECT_EQ(signals.stop(kRobot, stop, StopCause::Requested), SignalRelay::Passed::Sent);
+    proto::ToClient message;
+    message.mutable_receipt()->set_stop_id(SignalId{"w", 1}.text());
+    fromThere(watch, message, Lane::Signal);
+    ASSERT_EQ(home.sent.size(), 1U);
+    EXPECT_EQ(home.sent[0].head.sender.id, kBob.id);
+    EXPECT_EQ(home.sent[0].message.receipt().stop_id(), (SignalId{kBob.id, 7}.text()));
+    message.mutable_receipt()->set_stop_id(SignalId{"somebody", 1}.text());
+    fromThere(watch, message, Lane::Signal);
+    message.Clear();
+    message.mutable_lease_ended();
+    fromThere(watch, message);
+    EXPECT_EQ(home.sent.size(), 1U) << "what is not a receipt of its own is for nobody";
 }
 
 TEST_F(PartnerCoreTest, TheOrderlyEndReleasesWhatIsHeld) {

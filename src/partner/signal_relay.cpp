@@ -5,9 +5,10 @@
 
 namespace axon::partner {
 
-void SignalRelay::stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes) {
+void SignalRelay::stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes, bool shared) {
     const std::lock_guard lock(mutex_);
     stops_ = std::move(lanes);
+    shared_ = shared;
     stopper_ = me;
     given_.clear();
     origins_.clear();
@@ -80,7 +81,21 @@ bool SignalRelay::justSent(std::int64_t number, const std::string& entity) {
     return false;
 }
 
-bool SignalRelay::stop(const std::string& entity, const Header& head, StopCause cause) {
+bool SignalRelay::tooMany(const std::string& client) {
+    if (const auto now = clock_.now(); now - second_ >= std::chrono::seconds{1}) {
+        second_ = now;
+        in_second_ = 0;
+        of_one_.clear();
+    }
+    if (in_second_ >= kShared) return true;
+    auto& its = of_one_[client];
+    if (its >= kSharedOfOne) return true;
+    ++its;
+    ++in_second_;
+    return false;
+}
+
+SignalRelay::Passed SignalRelay::stop(const std::string& entity, const Header& head, StopCause cause) {
     auto its = head;
     its.entity = entity;
     its.sender = {};
@@ -94,16 +109,17 @@ bool SignalRelay::stop(const std::string& entity, const Header& head, StopCause 
             lanes = visitor->second.lanes.stops;
         } else if (stops_) {
             lanes = stops_;
+            if (shared_ && tooMany(head.sender.id)) return Passed::TooMany;
             its.sequence = numberOf(head);
-            if (justSent(its.sequence, entity)) return true;
+            if (justSent(its.sequence, entity)) return Passed::Sent;
         } else if (visitor != visitors_.end()) {
             lanes = visitor->second.lanes.stops;
             its.sequence = 0;
         }
     }
-    if (!lanes) return false;
+    if (!lanes) return Passed::NoSession;
     lanes->sendStopSignal(Lane::Signal, its, cause == StopCause::Drill ? cause : StopCause::Requested);
-    return true;
+    return Passed::Sent;
 }
 
 bool SignalRelay::command(client::Operation operation, const std::string& entity, const Header& head) {

@@ -26,12 +26,15 @@ namespace axon::partner {
 /// that has a session there goes by that one, under its own number; any other goes by a session for such
 /// stops, under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it
 /// for the same stop; sent again within kRepeat, it is on its way already and is not passed on. translate()
-/// turns what a receipt there says into what it says at home.
+/// turns what a receipt there says into what it says at home. While there is no session for such stops alone,
+/// they go by one that is shared with other uses, and then only kSharedOfOne of a client and kShared in a
+/// second are passed on: a server ends a session that sends very many.
 ///
 /// Threads: any; no call waits, and nothing is sent while the lock is held. Bounds: kRemembered stops that
 /// went by the session for them, kRememberedOfOne of each client, and kRemembered sessions that have ended;
 /// the oldest go first, and a stop that is sent again after that is a new one. Of kRecent stops the last
-/// kRepeat is known; of more at once, all are passed on.
+/// kRepeat is known; of more at once, all are passed on. Clients of which something went by the shared
+/// session within a second: kShared.
 class SignalRelay {
   public:
     static constexpr std::size_t kRemembered = 4096;
@@ -40,6 +43,8 @@ class SignalRelay {
     /// A client sends a stop again after five times as long. What one number costs there, however often it is
     /// sent: 50 messages a second for each entity.
     static constexpr Duration kRepeat = std::chrono::milliseconds{20};
+    static constexpr std::size_t kShared = 20'000;     ///< a server ends a session that sends 100,000
+    static constexpr std::size_t kSharedOfOne = 2000;  ///< twice all entities that are shown
 
     explicit SignalRelay(const Clock& clock) : clock_(clock) {}
 
@@ -48,17 +53,22 @@ class SignalRelay {
         std::shared_ptr<const client::DataLane> commands;  ///< which takes Reset and Clear
     };
 
-    /// The session for stops of clients without one is there; `me`: who it is. Stops that went by an earlier
-    /// one are forgotten.
-    void stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes);
+    /// The session for stops of clients without one is there, or another one that takes them meanwhile
+    /// (`shared`); `me`: who it is. Stops that went by an earlier one are forgotten.
+    void stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes, bool shared = false);
     void noStopBy();
     /// The client of home is `there` in the partner's laboratory.
     void visit(const Sender& client, const Sender& there, Lanes lanes);
     /// Its session has ended. Receipts that name it are translated still.
     void end(const std::string& client);
 
-    /// `entity`: UUID there. False: there is no session for it, and nothing was sent.
-    bool stop(const std::string& entity, const Header& head, StopCause cause);
+    enum class Passed : std::uint8_t {
+        Sent,  ///< or it is on its way already
+        NoSession,
+        TooMany  ///< by the shared session
+    };
+    /// `entity`: UUID there.
+    Passed stop(const std::string& entity, const Header& head, StopCause cause);
     /// Reset or Clear. False: this client has no session there, so it holds nothing.
     bool command(client::Operation operation, const std::string& entity, const Header& head);
 
@@ -81,12 +91,17 @@ class SignalRelay {
     std::int64_t numberOf(const Header& head);
     void forget(std::int64_t number);
     bool justSent(std::int64_t number, const std::string& entity);
+    bool tooMany(const std::string& client);
 
     const Clock& clock_;
     mutable std::mutex mutex_;
     // Guarded by mutex_:
-    std::shared_ptr<const client::StopLanes> stops_;             // of the session for strangers' stops
-    Sender stopper_;                                             // who that is
+    std::shared_ptr<const client::StopLanes> stops_;  // of the session for strangers' stops
+    Sender stopper_;                                  // who that is
+    bool shared_ = false;                             // with other uses
+    TimePoint second_{};                              // since when is counted:
+    std::size_t in_second_ = 0;
+    std::map<std::string, std::size_t> of_one_;                  // by client at home
     std::int64_t last_ = 0;                                      // number of a stop by it
     std::map<std::string, std::deque<std::int64_t>> of_client_;  // its numbers in origins_, by client at home
     using Sent = std::pair<std::int64_t, std::string>;           // number and entity there

@@ -59,7 +59,7 @@ struct SignalRelayTest : testing::Test {
 };
 
 TEST_F(SignalRelayTest, AStopOfSomebodyWithoutASessionGoesByTheOneForSuchStops) {
-    ASSERT_TRUE(relay.stop("there-uuid", of(kAnn, 7), StopCause::Requested));
+    ASSERT_EQ(relay.stop("there-uuid", of(kAnn, 7), StopCause::Requested), SignalRelay::Passed::Sent);
     ASSERT_EQ(watch->stops.size(), 1U);
     EXPECT_EQ(watch->stops[0].entity, "there-uuid");
     EXPECT_EQ(watch->stops[0].stop_generation, 4);
@@ -104,7 +104,7 @@ TEST_F(SignalRelayTest, AVisitorStopsByItsOwnSessionAndUnderItsOwnNumber) {
 
 TEST_F(SignalRelayTest, WithoutAnySessionNothingIsSentAndThatIsSaid) {
     relay.noStopBy();
-    EXPECT_FALSE(relay.stop("e", of(kAnn, 7), StopCause::Requested));
+    EXPECT_EQ(relay.stop("e", of(kAnn, 7), StopCause::Requested), SignalRelay::Passed::NoSession);
 }
 
 TEST_F(SignalRelayTest, AReceiptNamesTheStopAndItsGiverAsAtHome) {
@@ -160,7 +160,7 @@ TEST_F(SignalRelayTest, WhoeverStopsVeryOftenLosesReceiptsOfItsOwnOnly) {
 
 TEST_F(SignalRelayTest, AStopThatIsRepeatedAtOnceIsOnItsWayAlready) {
     relay.stop("e", of(kAnn, 1), StopCause::Requested);
-    EXPECT_TRUE(relay.stop("e", of(kAnn, 1), StopCause::Requested));
+    EXPECT_EQ(relay.stop("e", of(kAnn, 1), StopCause::Requested), SignalRelay::Passed::Sent);
     EXPECT_EQ(watch->stops.size(), 1U);
     relay.stop("f", of(kAnn, 1), StopCause::Requested);
     relay.stop("e", of(kAnn, 2), StopCause::Requested);
@@ -173,6 +173,29 @@ TEST_F(SignalRelayTest, AStopThatIsRepeatedAtOnceIsOnItsWayAlready) {
     relay.stopBy({"w2", "a", Role::Operator}, watch);
     relay.stop("e", of(kAnn, 1), StopCause::Requested);
     EXPECT_EQ(watch->stops.size(), 6U);
+}
+
+TEST_F(SignalRelayTest, ByASharedSessionOnlySoManyPassOfEachClientAndOfAll) {
+    auto shared = std::make_shared<Lanes>();
+    relay.stopBy({"v", "a", Role::Operator}, shared, true);
+    const auto stops = [&](const std::string& who, std::size_t count) {
+        std::size_t refused = 0;
+        for (std::size_t i = 1; i <= count; ++i)
+            if (relay.stop("robot", of({who, who, Role::Operator}, static_cast<std::int64_t>(i)),
+                           StopCause::Requested) == SignalRelay::Passed::TooMany)
+                ++refused;
+        return refused;
+    };
+    EXPECT_EQ(stops("eve", SignalRelay::kSharedOfOne + 10), 10U);
+    EXPECT_EQ(stops("ann", 1), 0U) << "others are unharmed";
+    for (int flooder = 0; shared->stops.size() < SignalRelay::kShared; ++flooder)
+        stops("flooder" + std::to_string(flooder), SignalRelay::kSharedOfOne);
+    EXPECT_EQ(shared->stops.size(), SignalRelay::kShared);
+    EXPECT_EQ(stops("bob", 1), 1U);
+    clock.advance(std::chrono::seconds{1});
+    EXPECT_EQ(stops("bob", 1), 0U) << "who repeats it";
+    relay.stopBy({"w2", "a", Role::Operator}, watch);
+    EXPECT_EQ(stops("eve", SignalRelay::kSharedOfOne + 10), 0U) << "its own session may end";
 }
 
 TEST_F(SignalRelayTest, AResetIsForWhoHasASession) {
