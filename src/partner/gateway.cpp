@@ -97,14 +97,16 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
         if (verdict == ClientShares::Verdict::Drop) return;
         if (verdict == ClientShares::Verdict::Refuse) {
             proto::ToEntity asked;
-            if (droppable || !asked.ParseFromString(bytes)) return gateway->shares_.give(client, kEventBytes);
-            return gateway->postShare(
-                client, 0, false,
+            if (droppable || !asked.ParseFromString(bytes))
+                return gateway->shares_.give(client, kEventBytes, verdict);
+            gateway->postShare(
+                gateway->shares_, client, verdict, 0, false,
                 [home = entity_.home, client = head.sender, answer = refused(asked, {})](
                     PartnerCore& core) mutable { core.onClientFlood(home, client, std::move(answer)); });
+            return;
         }
         gateway->postShare(
-            client, size, droppable,
+            gateway->shares_, client, verdict, size, droppable,
             [home = entity_.home, droppable, head = std::move(head), bytes = std::move(bytes)](
                 PartnerCore& core) mutable { core.onClientMsg(home, droppable, head, std::move(bytes)); });
     }
@@ -170,12 +172,26 @@ class Gateway::Session final : public client::ConnectionEvents {
 
   private:
     void bounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
-        if (const auto gateway = gateway_.lock()) gateway->postBounded(bytes, droppable, std::move(event));
+        const auto gateway = gateway_.lock();
+        if (!gateway) return;
+        if (watches_) {
+            gateway->postBounded(bytes, droppable, std::move(event));
+            return;
+        }
+        // Of a visitor who is sent more than is dealt with, nobody knows what would be lost.
+        auto& shares = gateway->there_shares_;
+        const auto verdict = shares.take(share_, bytes + kEventBytes, ClientShares::kNone);
+        if (verdict == ClientShares::Verdict::Take)
+            gateway->postShare(shares, share_, verdict, bytes, droppable, std::move(event));
+        else if (!droppable && !flooded_.exchange(true))
+            closed(0, "this gateway does not keep up with what it is sent");
     }
 
     const std::weak_ptr<Gateway> gateway_;
     const SessionNumber number_;
+    const std::string share_ = std::to_string(number_);
     const bool watches_;
+    std::atomic<bool> flooded_{false};
 };
 
 Gateway::Gateway(GatewaySettings settings, const Clock& clock)
@@ -241,15 +257,16 @@ void Gateway::post(std::function<void(PartnerCore&)> event) {
     });
 }
 
-void Gateway::postShare(const std::string& client, std::size_t bytes, bool droppable,
-                        std::function<void(PartnerCore&)> event) {
+bool Gateway::postShare(ClientShares& shares, const std::string& client, ClientShares::Verdict verdict,
+                        std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
     const auto size = bytes + kEventBytes;
-    const bool posted =
-        postBounded(bytes, droppable, [this, client, size, event = std::move(event)](PartnerCore& core) {
-            shares_.give(client, size);
+    const bool posted = postBounded(
+        bytes, droppable, [&shares, client, verdict, size, event = std::move(event)](PartnerCore& core) {
+            shares.give(client, size, verdict);
             event(core);
         });
-    if (!posted) shares_.give(client, size);
+    if (!posted) shares.give(client, size, verdict);
+    return posted;
 }
 
 bool Gateway::postBounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
@@ -294,8 +311,9 @@ void Gateway::stopSignal(const ShownEntity& entity, const Header& head, StopCaus
 
 void Gateway::command(client::Operation operation, const ShownEntity& entity, const Header& head) {
     if (signals_.command(operation, entity.there, head)) return;
-    if (shares_.take(head.sender.id, kEventBytes, kEventBytes) == ClientShares::Verdict::Drop) return;
-    postShare(head.sender.id, 0, false,
+    const auto verdict = shares_.take(head.sender.id, kEventBytes, kEventBytes);
+    if (verdict == ClientShares::Verdict::Drop) return;
+    postShare(shares_, head.sender.id, verdict, 0, false,
               [home = entity.home, head](PartnerCore& core) { core.onCommandOfStranger(home, head); });
 }
 

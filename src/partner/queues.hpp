@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <limits>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -37,42 +38,64 @@ class Openings {
     std::size_t begun_ = 0;
 };
 
-/// How much of what waits for the strand is of each client of home, so that one of them does not fill it for
-/// all. Bound: the clients of which something waits. Any thread.
+/// How much of what waits for the strand is of each client of home, or of each session there, so that some of
+/// them do not fill it for all: an eighth of what is free, and of one of which nothing waits a message of a
+/// fourth. The more of them want much, the less each of these gets; but kLeast it always gets. Bound: `all`,
+/// and kLeast of each of which something waits. Any thread.
 class ClientShares {
   public:
-    static constexpr std::size_t kShare = std::size_t{4} * 1024 * 1024;
+    static constexpr std::size_t kLeast = std::size_t{4} * 1024;
     /// Of refusals, beyond the share.
     static constexpr std::size_t kRefusals = std::size_t{64} * 1024;
+    static constexpr std::size_t kAllRefusals = std::size_t{4} * 1024 * 1024;
+    /// In the place of the bytes of a refusal: there is none.
+    static constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
 
     enum class Verdict : std::uint8_t {
         Take,    ///< it is in the share: give() it back
         Refuse,  ///< it is not; its refusal is: give() that back
         Drop     ///< not even that
     };
-    /// A client of which nothing waits may send a message of any size. `refusal`: bytes of one.
+    explicit ClientShares(std::size_t all) : all_bytes_(all) {}
+
+    /// `refusal`: bytes of one.
     Verdict take(const std::string& client, std::size_t bytes, std::size_t refusal) {
         const std::lock_guard lock(mutex_);
-        auto& used = used_[client];
-        if (used == 0 || used + bytes <= kShare) {
-            used += bytes;
+        const auto found = used_.find(client);
+        const auto its = found == used_.end() ? Used{} : found->second;
+        const auto free = all_bytes_ - std::min(all_.taken, all_bytes_);
+        const auto share = std::max(kLeast, its.taken == 0 ? free / 4 : free / 8);
+        if (bytes <= share - std::min(its.taken, share)) {
+            used_[client].taken += bytes;
+            all_.taken += bytes;
             return Verdict::Take;
         }
-        if (used + refusal > kShare + kRefusals) return Verdict::Drop;
-        used += refusal;
+        if (refusal > kRefusals - its.refused || refusal > kAllRefusals - all_.refused) return Verdict::Drop;
+        used_[client].refused += refusal;
+        all_.refused += refusal;
         return Verdict::Refuse;
     }
-    void give(const std::string& client, std::size_t bytes) {
+    /// `verdict`: as these bytes were taken.
+    void give(const std::string& client, std::size_t bytes, Verdict verdict) {
         const std::lock_guard lock(mutex_);
         const auto its = used_.find(client);
-        if (its == used_.end()) return;
-        its->second -= std::min(its->second, bytes);
-        if (its->second == 0) used_.erase(its);
+        if (its == used_.end() || verdict == Verdict::Drop) return;
+        const auto part = verdict == Verdict::Take ? &Used::taken : &Used::refused;
+        const auto given = std::min(its->second.*part, bytes);
+        its->second.*part -= given;
+        all_.*part -= given;
+        if (its->second.taken == 0 && its->second.refused == 0) used_.erase(its);
     }
 
   private:
+    struct Used {
+        std::size_t taken = 0, refused = 0;  // bytes
+    };
+    const std::size_t all_bytes_;
     std::mutex mutex_;
-    std::map<std::string, std::size_t> used_;  // guarded by mutex_; bytes, by client
+    // Guarded by mutex_:
+    std::map<std::string, Used> used_;  // by client
+    Used all_;
 };
 
 }  // namespace axon::partner
