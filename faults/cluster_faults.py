@@ -18,7 +18,7 @@ not stop at all. What happens then depends on the kind:
 Within 5 s the same clients must hold and use every robot, the lists of all front-end servers that run must agree, and no
 other client may be able to check out what they hold. At last a program that was away comes back, and the lists of all
 must agree again.
-The kinds of IceGrid's registry, of replicas of IceStorm and of partitions run on machines that are network namespaces,
+The kinds of IceGrid's registries, of replicas of IceStorm and of partitions run on machines that are network namespaces,
 which need root; the others on one cluster without TLS. Each client is a process with the Python package of the build.
 Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
@@ -58,8 +58,8 @@ FROZEN_S = 6.0  # longer than any time-out of a session
 HARMS = {"kill": "kills", "lose": "kills, and does not start again,", "freeze": "freezes", "partition": "cuts off"}
 Kind = collections.namedtuple("Kind", "victim harm promise environment", defaults=("cluster",))
 CLIENT_ROUTER, ENTITY_ROUTER, FRONT_END, ENTITY_SERVER, ICESTORM, REPLICA, REGISTRY = (
-    "a client router", "an entity router", "a front-end server", "an entity server", "icestorm", "a replica of IceStorm", "icegridregistry")
-NAMES = {CLIENT_ROUTER: "client-router", ENTITY_ROUTER: "entity-router", FRONT_END: "fe", ENTITY_SERVER: "es", REPLICA: "icestorm"}
+    "a client router", "an entity router", "a front-end server", "an entity server", "icestorm", "a replica of IceStorm", "a registry of IceGrid")
+NAMES = {CLIENT_ROUTER: "client-router", ENTITY_ROUTER: "entity-router", FRONT_END: "fe", ENTITY_SERVER: "es", REPLICA: "icestorm", REGISTRY: "icegridregistry"}
 SIGNALS_GO_ON = "signals go on without it: no robot stops"
 KINDS = {
     "kill-icestorm": Kind(ICESTORM, "kill", SIGNALS_GO_ON),
@@ -252,7 +252,7 @@ class Run:
         self.probe = HostProbe()
         routers, servers = options.routers, {"fe": options.front_ends, "es": options.entity_servers}
         self.lab = Laboratory(options.bin, application="Greeter", environment=environment, layout=machines.one_for_each(
-            "icegridregistry", *(f"icestorm{n}" for n in (1, 2, 3)),
+            "icegridregistry", "icegridregistry2", *(f"icestorm{n}" for n in (1, 2, 3)),
             *(f"{kind}{n}" for kind, most in servers.items() for n in range(1, most + 1)),
             *(f"{whom}-router{n if n > 1 else ''}" for whom in ("client", "entity") for n in range(1, routers + 1))))
         self.robots, self.clients, self.other = [], [], None

@@ -20,11 +20,11 @@ import hosts  # noqa: E402
 import laboratory  # noqa: E402
 import processes  # noqa: E402
 import probe  # noqa: E402
-from grid import record  # noqa: E402
+from grid import APPLICATION, record  # noqa: E402
 
 NETWORK = "10.88.0"
 THREE = {f"{NETWORK}.1": "icegridregistry icestorm1 fe1 client-router", f"{NETWORK}.2": "icestorm2 es1 entity-router",
-         f"{NETWORK}.3": "icestorm3"}
+         f"{NETWORK}.3": "icegridregistry2 icestorm3"}
 SECONDS = 60
 CLONE_NEWNET = 0x40000000
 DISABLED, FORWARDING = 0, 3  # states of a switch's port
@@ -104,7 +104,7 @@ class Machines(laboratory.Programs):
         self.lab, self.layout = lab, layout
         self.folder = lab.folder / "cluster"
         self.at = lab.folder / "at"  # where each machine sees its own folder
-        self.machines, self.nodes, self.registry, self.registry_process = {}, [], None, None
+        self.machines, self.nodes, self.registries = {}, {}, {}  # {address: …}, {address: its process}, {name: its process}
 
     def up(self):
         """Starts the machines; where they run, waits for what their nodes start again."""
@@ -125,13 +125,12 @@ class Machines(laboratory.Programs):
         run("sh", self.folder / "out" / "certificates.sh", self.folder / "certs",
             env={**self.lab.env, "PATH": f"{self.lab.bin}:{self.lab.env['PATH']}"})
         plan = self.plan = hosts.read(text, self.folder / "hosts.txt", self.at)
-        self.registry = plan.host("icegridregistry")
         self.programs = {program.name: plan.host(program.name) for program in configuration.programs(plan)
                          if not program.name.startswith("icegridnode")}
         files = [self.folder / "out" / hosts.FOR_CLIENTS / "client.cfg", self.folder / "out" / hosts.FOR_ENTITIES / "entitygl2client.cfg"]
         for file in files:
             file.write_text(file.read_text().replace(f"IceSSL.DefaultDir={self.at}/certs", f"IceSSL.DefaultDir={file.parent}/certs"))
-        application = self.here(self.registry) / "icegrid.xml"
+        application = self.here(plan.host(configuration.REGISTRY)) / "icegrid.xml"
         application.write_text(application.read_text().replace(f'"{hosts.PROGRAMS}"', f'"{self.lab.bin}"'))
         installed, built = (configuration.Place("", programs, "").guard()[0] for programs in (hosts.PROGRAMS, self.lab.bin))
         for file in (self.folder / "out").glob("*/glacier2*.cfg"):
@@ -152,16 +151,24 @@ class Machines(laboratory.Programs):
     def start(self):
         self.at.mkdir()
         self.machines = {address: Machine(address, self.here(address), self.at, self.lab) for address in self.layout}
-        self.start_registry()
+        for registry in self.plan.registries():
+            self.start_registry(registry)
+            # One that starts before the other tries again only after ten seconds.
+            laboratory.wait_until(lambda: "Master" in self.admin("registry list"), "the registry answers", SECONDS)
         for address in self.layout:
-            self.nodes.append(self.start_on(address, "icegridnode"))
+            self.start_node(address)
         for address in self.layout:
             laboratory.wait_until(lambda its=address: "node is up" in self.admin(f"node ping {its}"), f"the node of {address} is up", SECONDS)
         if said := self.admin(f"application add '{self.at}/icegrid.xml'"):
             raise laboratory.Failed(said)
+        for registry in self.plan.registries():
+            laboratory.wait_until(lambda its=registry: self.admin("application list", its).strip() == APPLICATION, f"{registry} knows what is to run", SECONDS)
 
-    def start_registry(self):
-        self.registry_process = self.start_on(self.registry, "icegridregistry")
+    def start_registry(self, name):
+        self.registries[name] = self.start_on(self.programs[name], "icegridregistry")
+
+    def start_node(self, address):
+        self.nodes[address] = self.start_on(address, "icegridnode")
 
     def start_on(self, address, program):
         words = self.machines[address].does("setpriv", "--pdeathsig", "TERM", program, f"--Ice.Config={self.at}/{program}.cfg")
@@ -172,9 +179,10 @@ class Machines(laboratory.Programs):
         """The folder of a machine, as the others see it."""
         return self.folder / "out" / machine
 
-    def admin(self, words):
-        """What IceGrid answers, or why it does not."""
-        words = self.machines[self.registry].does("icegridadmin", f"--Ice.Config={self.at}/icegridadmin.cfg", "-e", words)
+    def admin(self, words, registry=configuration.REGISTRY, name=None):
+        """What that registry answers, or why it does not. `name`: what IceGrid calls it, where it has taken the place of another."""
+        replica = [] if registry == configuration.REGISTRY else ["--replica", name or registry]
+        words = self.machine(registry).does("icegridadmin", f"--Ice.Config={self.at}/icegridadmin.cfg", *replica, "-e", words)
         done = subprocess.run(words, env=self.lab.env, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=SECONDS, check=False)
         return done.stdout + done.stderr
 
@@ -184,13 +192,21 @@ class Machines(laboratory.Programs):
 
     def record(self, name):
         """Of the process of that program, for processes.strike(); None where there was none."""
-        if name == "icegridregistry":
-            pid = self.registry_process.child.pid
+        if name in self.registries:
+            pid = self.registries[name].child.pid
             return {"pid": pid, "ticks": processes.start_ticks(pid), "boot": processes.boot_id()}
         return record(self.here(self.programs[name]), name)
 
     def runs(self, name):
         return processes.runs(self.record(name))
+
+    def restart(self, address):
+        """All that its node has started, and the node, end at once, as in a power failure; then the node starts again."""
+        self.nodes[address].kill()
+        for name in self.layout[address].split():
+            if name not in self.registries:
+                processes.strike(self.record(name), signal.SIGKILL, SECONDS)
+        self.start_node(address)
 
     def answers(self, name):
         """Whether a replica of IceStorm answers; it speaks to servers only."""
@@ -216,22 +232,22 @@ class Machines(laboratory.Programs):
 
     def start_again(self, name):
         """A program that was killed."""
-        if name == "icegridregistry":
-            self.registry_process.end()
-            self.start_registry()
+        if name in self.registries:
+            self.registries[name].end()
+            self.start_registry(name)
         laboratory.wait_until(lambda: self.runs(name), f"{name} is started again", SECONDS)
 
     def end(self):
         for machine in self.machines.values():
             with contextlib.suppress(laboratory.Failed):
                 machine.plug_cable()  # a node without its registry takes a minute to end
-        for node in self.nodes:  # all at once; each ends its programs first
+        for node in self.nodes.values():  # all at once; each ends its programs first
             node.child.terminate()
-        for node in self.nodes:
+        for node in self.nodes.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
                 node.child.wait(SECONDS)
             node.end()
-        if self.registry_process:
-            self.registry_process.end()
+        for registry in self.registries.values():
+            registry.end()
         for machine in self.machines.values():
             machine.end()

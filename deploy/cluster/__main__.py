@@ -10,7 +10,7 @@ import sys
 sys.dont_write_bytecode = True
 import hosts  # noqa: E402
 from cluster import Cluster, Failed, configure, default_folder  # noqa: E402
-from configuration import BASE_PORT, LOOPBACK, ROUTERS_MAX, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
+from configuration import BASE_PORT, LOOPBACK, REGISTRY, ROUTERS_MAX, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
 
 EPILOG = f"""\
   axon-cluster up                                    one server of each kind
@@ -141,12 +141,12 @@ def several_machines(options, programs):
     plan = configure(programs, options.hosts, options.to, options.base_port, options.user, options.at)
     for machine, names in plan.nodes().items():
         print(f"  {machine:<20} {', '.join(names)}")
-    registry = plan.host("icegridregistry")
+    registry = plan.host(REGISTRY)
     print(f"""Written: {options.to}
 
 1. The machine with the CA    sh {options.to}/certificates.sh
 2. Every machine MACHINE      copy {options.to}/MACHINE to {options.at} there, for the user {options.user} only
-3. {registry:<26} systemctl enable --now axon-icegridregistry
+3. {", then ".join(map(plan.host, plan.registries())):<26} systemctl enable --now axon-icegridregistry
 4. Every machine              systemctl enable --now axon-icegridnode
 5. {registry:<26} icegridadmin --Ice.Config={options.at}/icegridadmin.cfg -e 'application add {options.at}/icegrid.xml'
 6. Clients, Entity Managers   the files of {options.to}/{hosts.FOR_CLIENTS} and {options.to}/{hosts.FOR_ENTITIES}; set IceSSL.DefaultDir in

@@ -339,7 +339,7 @@ class Cluster:
     def waves(programs):
         """Who needs whom: the topics, then the servers, then the routers before them."""
         def wave(program):
-            return (0 if program.name == "icegridregistry" else 1 if program.name.startswith("ice") else
+            return (0 if program.name == configuration.REGISTRY else 1 if program.name.startswith("ice") else
                     3 if "-router" in program.name else 2)
         return [[program for program in programs if wave(program) == number] for number in range(4)]
 
@@ -382,7 +382,7 @@ class Cluster:
         its = self.records().get(program.name)
         if not processes.runs(its):
             raise probe.NoAnswer("it does not run")
-        if program.name == "icegridregistry":
+        if program.name == configuration.REGISTRY:
             probe.ping(*program.ports["locator"], f"{configuration.GRID_INSTANCE}/Locator", self.tls("icegridadmin.cfg"))
         elif program.name == "icegridnode":
             self.grid.node_is_up(configuration.NODE)

@@ -400,10 +400,25 @@ while read -r stem; do : >"$CERTS/$stem.cert.pem"; : >"$CERTS/$stem.key.pem"; do
             self.assertIn("; fix: ", str(raised.exception))
             self.assertLess(len(str(raised.exception)), 500)
 
+    def test_a_replica_of_the_registry_has_the_other_machine_and_every_node_knows_both(self):
+        files = hosts.files(hosts.read(HOSTS.replace("icestorm3", "icegridregistry2 icestorm3"), "hosts.txt"), PASSWORDS, "", PLACE)
+
+        def value(name, key):
+            return configuration.read_property(files[name], f"IceGrid.Registry.{key}")
+        self.assertEqual([value(f"{machine}/icegridregistry.cfg", "ReplicaName") for machine in ("lab.example", "hall.example")],
+                         [None, "icegridregistry2"])
+        self.assertIn("-h hall.example", value("hall.example/icegridregistry.cfg", "Client.Endpoints"))
+        self.assertIn("hall.example/icegridadmin.cfg", files)
+        self.assertIn("hall.example/icegrid.xml", files)
+        for name in ("lab.example/icegridnode.cfg", "hall.example/icegridnode.cfg", "lab.example/icegridregistry.cfg", "hall.example/icegridadmin.cfg"):
+            self.assertRegex(configuration.read_property(files[name], "Ice.Default.Locator"), "-h lab.example .*-h hall.example ", name)
+            self.assertEqual(configuration.read_property(files[name], "IceSSL.CertFile"), f"registry-{name.partition('/')[0]}.cert.pem")
+
     def test_what_is_missing_is_named(self):
         for text, said in (("", "no machine runs icegridregistry"), (HOSTS.replace("client-router", ""), "no machine runs client-router"),
                            (HOSTS.replace("icestorm3", ""), "no machine runs icestorm3"), (HOSTS.replace("es1", ""), "no machine runs es1"),
                            (HOSTS.replace("fe1", ""), "no machine runs fe1; expected fe1 to fe2"),
+                           (HOSTS.replace("fe1", "fe1 icegridregistry2"), "would be gone with it"),
                            (HOSTS.replace("fe1", "fe1 client-router2"), "client-router2 without entity-router2"), ("#" * 70000, "at most 65536")):
             with self.assertRaises(Misconfigured, msg=said) as raised:
                 hosts.read(text, "hosts.txt")

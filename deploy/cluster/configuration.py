@@ -17,6 +17,7 @@ ADMIN, ENTITY = "admin", "entity"
 STORM_REPLICAS = 3  # as few as have a majority without one of them
 NODE = "node1"  # of IceGrid, where there is one
 GUARD = "axonrouterguard"
+REGISTRY, SECOND_REGISTRY = "icegridregistry", "icegridregistry2"
 REGISTRY_PORTS = ("locator", "servers", "nodes")
 
 
@@ -64,7 +65,7 @@ class Plan:
             return self.base_port + {"topics": 0, "publish": 1}[which]
         if program.startswith("icestorm"):
             return self.base_port + 92 + 3 * int(program[8:]) + {"topics": 0, "publish": 1, "replicas": 2}[which]
-        if program == "icegridregistry":
+        if program in (REGISTRY, SECOND_REGISTRY):  # which never share a machine
             return self.base_port + 6 + REGISTRY_PORTS.index(which)
         if program.startswith("icegridnode"):
             return self.base_port + {"registry": 9}[which]
@@ -96,6 +97,10 @@ class Plan:
         """Where clients or entities reach it."""
         return self.listen
 
+    def registries(self):
+        """That which is told what to run, and its replica where there is one."""
+        return [REGISTRY]
+
     def node_programs(self):
         return ["icegridnode"]
 
@@ -120,8 +125,8 @@ def programs(plan):
 
     found = []
     if plan.grid:
-        found += [Program("icegridregistry", "IceGrid's registry, which programs there are and where",
-                          ("icegridregistry", "--Ice.Config=icegridregistry.cfg"), at("icegridregistry", *REGISTRY_PORTS))]
+        found += [Program(name, "IceGrid's registry, which programs there are and where",
+                          ("icegridregistry", "--Ice.Config=icegridregistry.cfg"), at(name, *REGISTRY_PORTS)) for name in plan.registries()]
         found += [Program(name, "IceGrid's node, which starts the other programs", ("icegridnode", "--Ice.Config=icegridnode.cfg"),
                           at(name, "registry")) for name in plan.node_programs()]
     for number, name in enumerate(plan.storm_names(), 1):
@@ -221,8 +226,8 @@ def files(plan, passwords, place=INSTALLED):
               "entitygl2client.cfg": entity_manager(plan, passwords[ENTITY])}
     if plan.grid:
         place.check()
-        result |= {"icegridregistry.cfg": grid_registry(plan), "icegridnode.cfg": grid_node(plan, place.user == "root", next(iter(plan.nodes())), plan.node_programs()[0]),
-                   "icegridadmin.cfg": grid_admin(plan), "start.sh": START,
+        result |= {"icegridregistry.cfg": grid_registry(plan, REGISTRY), "icegridnode.cfg": grid_node(plan, place.user == "root", next(iter(plan.nodes())), plan.node_programs()[0]),
+                   "icegridadmin.cfg": grid_admin(plan, REGISTRY), "start.sh": START,
                    "icegrid.xml": grid_application(plan, place.descriptor,
                                                    {node: (place.variables(plan), names) for node, names in plan.nodes().items()})}
     for number, name in enumerate(plan.storm_names(), 1):
@@ -449,7 +454,7 @@ IceSSL.TrustOnly.Server.Glacier2.Server={servers}
 
 def certificates(plan):
     """{program: (kind, names)} as axon certs issue takes them. Servers, IceStorm and routers call each other at host()."""
-    grid = {name: ("registry", [plan.host(name)]) for name in ("icegridregistry", *plan.node_programs())} if plan.grid else {}
+    grid = {name: ("registry", [plan.host(name)]) for name in (*plan.registries(), *plan.node_programs())} if plan.grid else {}
     if not plan.tls:
         return grid
     routers_of = {name: ("router", list(dict.fromkeys((plan.public_host(name), plan.host(name)))))
@@ -491,21 +496,29 @@ def grid_endpoint(plan, program, which):
 
 def grid_links(plan, program):
     """Of all programs of IceGrid: to which registry they belong, and whom they believe."""
+    registries = ":".join(grid_endpoint(plan, name, "locator") for name in plan.registries())
     return f"""\
-# The registry:
-Ice.Default.Locator={GRID_INSTANCE}/Locator:{grid_endpoint(plan, "icegridregistry", "locator")}
+# The registry{" and its replica" if len(plan.registries()) > 1 else ""}:
+Ice.Default.Locator={GRID_INSTANCE}/Locator:{registries}
 # Whoever reaches a node can have it start any program. So IceGrid speaks TLS to IceGrid only, also within one machine.
 {tls(plan, certificate_of(plan, program))}IceSSL.TrustOnly={only("registry")}
 """
 
 
-def grid_registry(plan):
+REPLICA_OF_REGISTRY = f"""\
+# It learns from the other registry what is to run, and serves the nodes as that one does. The other one is told what is to
+# run; should it be gone for good, delete this line and start this registry again, and it takes its place:
+IceGrid.Registry.ReplicaName={SECOND_REGISTRY}
+"""
+
+
+def grid_registry(plan, name):
     def endpoint(which):
-        return grid_endpoint(plan, "icegridregistry", which)
+        return grid_endpoint(plan, name, which)
     return f"""\
 # The registry of IceGrid, which knows what is to run on which node:  icegridregistry --Ice.Config=icegridregistry.cfg
 IceGrid.InstanceName={GRID_INSTANCE}
-# Where icegridadmin and nodes look for it:
+{REPLICA_OF_REGISTRY if name == SECOND_REGISTRY else ""}# Where icegridadmin and nodes look for it:
 IceGrid.Registry.Client.Endpoints={endpoint("locator")}
 # Nobody is answered who looks for a registry by multicast, which would be a port without TLS:
 IceGrid.Registry.Discovery.Enabled=0
@@ -513,11 +526,13 @@ IceGrid.Registry.Discovery.Enabled=0
 IceGrid.Registry.Server.Endpoints={endpoint("servers")}
 # Where nodes come:
 IceGrid.Registry.Internal.Endpoints={endpoint("nodes")}
+# A node that was killed is let in again when its former session has expired, in seconds; IceGrid looks every 20 s:
+IceGrid.Registry.NodeSessionTimeout=3
 # What it knows is kept here:
-IceGrid.Registry.LMDB.Path={plan.folder}/db/icegridregistry
+IceGrid.Registry.LMDB.Path={plan.folder}/db/{name}
 # Whoever has a certificate of this kind is an administrator; the password is not looked at:
 IceGrid.Registry.AdminPermissionsVerifier={GRID_INSTANCE}/NullPermissionsVerifier
-{grid_links(plan, "icegridregistry")}"""
+{grid_links(plan, name)}"""
 
 
 def grid_node(plan, as_root, name, program):
@@ -537,13 +552,13 @@ IceGrid.Node.AllowRunningServersAsRoot=1
 """
 
 
-def grid_admin(plan):
+def grid_admin(plan, registry):
     return f"""\
 # icegridadmin --Ice.Config=icegridadmin.cfg
 # The registry asks for a user and does not look at it: what counts is the certificate.
 IceGridAdmin.Username=axon
 IceGridAdmin.Password=axon
-{grid_links(plan, "icegridregistry")}"""
+{grid_links(plan, registry)}"""
 
 
 TEMPLATES = {"icestorm": "IceStorm", "es": "EntityServer", "fe": "FrontEndServer"}

@@ -10,7 +10,7 @@ import re
 import shlex
 
 import configuration
-from configuration import ENTITY, SERVERS_MAX, STORM_REPLICAS, Misconfigured
+from configuration import ENTITY, REGISTRY, SECOND_REGISTRY, SERVERS_MAX, STORM_REPLICAS, Misconfigured
 
 SIZE_MAX = 65536
 FOLDER = pathlib.Path("/var/lib/axon-cluster")  # of the units in deploy/systemd
@@ -21,8 +21,9 @@ OF_MACHINE = "@"  # icegridnode@lab.example is the node there
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?")
 NAME_MAX = 64  # of the CN of a certificate
 NUMBERED = re.compile(r"(fe|es|icestorm)([1-9])")
-ALONE = ("icegridregistry", "client-router", "entity-router")
+ALONE = (REGISTRY, "client-router", "entity-router")
 SECOND_ROUTERS = ("client-router2", "entity-router2")  # both or none
+OPTIONAL = (SECOND_REGISTRY, *SECOND_ROUTERS)
 EXAMPLE = """\
     lab.example:  icegridregistry icestorm1 icestorm2 fe1 client-router
     hall.example: icestorm3 es1 entity-router"""
@@ -48,6 +49,9 @@ class Spread(configuration.Plan):
 
     def nodes(self):
         return {machine: self.on(machine) for machine in self.machines()}
+
+    def registries(self):
+        return [name for name in (REGISTRY, SECOND_REGISTRY) if name in dict(self.places)]
 
     def node_programs(self):
         return [f"icegridnode{OF_MACHINE}{machine}" for machine in self.machines()]
@@ -77,8 +81,8 @@ def read(text, where, folder=FOLDER, base_port=configuration.BASE_PORT):
             wrong(number, f"{shown(machine)} is also in line {machines[machine.lower()]}", "write all its programs into one line")
         machines[machine.lower()] = number
         for name in names.split():
-            if name not in ALONE + SECOND_ROUTERS and not NUMBERED.fullmatch(name):
-                wrong(number, f"there is no program '{shown(name)}'; expected {', '.join(ALONE + SECOND_ROUTERS)}, icestorm1 to "
+            if name not in ALONE + OPTIONAL and not NUMBERED.fullmatch(name):
+                wrong(number, f"there is no program '{shown(name)}'; expected {', '.join(ALONE + OPTIONAL)}, icestorm1 to "
                       f"icestorm{STORM_REPLICAS}, fe1 to fe{SERVERS_MAX} or es1 to es{SERVERS_MAX}", "correct the name")
             if name in places:
                 wrong(number, f"{name} runs on {places[name]} already (line {lines[name]})", "name it once")
@@ -101,6 +105,8 @@ def read(text, where, folder=FOLDER, base_port=configuration.BASE_PORT):
     for one, other in (SECOND_ROUTERS, SECOND_ROUTERS[::-1]):
         if one in places and other not in places:
             wrong(lines[one], f"{one} without {other}; expected both, or none of them", f"add {other} to the line of one machine")
+    if SECOND_REGISTRY in places and places[SECOND_REGISTRY] == places[REGISTRY]:
+        wrong(lines[SECOND_REGISTRY], f"{SECOND_REGISTRY} is on the machine of {REGISTRY}, and would be gone with it", "move it to the line of another machine")
     if base_port == 0:
         wrong(0, "--base-port 0 means ports that are free on this machine", "name the first of 200 ports that are free on all machines")
     if not pathlib.Path(folder).is_absolute() or any(c.isspace() for c in str(folder)):
@@ -134,9 +140,10 @@ def files(plan, passwords, users, place):
     for (machine, here), node in zip(plan.nodes().items(), plan.node_programs()):
         names = ["start.sh"] + [file for program in configuration.programs(plan) if program.name in here
                                 for file in files_of(program)]
-        if "icegridregistry" in here:
-            names += ["icegridadmin.cfg", "icegrid.xml"]
         texts = {name: everything[name] for name in dict.fromkeys(names)}
+        for registry in set(plan.registries()) & set(here):
+            texts |= {"icegridregistry.cfg": configuration.grid_registry(plan, registry), "icegridadmin.cfg": configuration.grid_admin(plan, registry),
+                      "icegrid.xml": everything["icegrid.xml"]}
         texts["icegridnode.cfg"] = configuration.grid_node(plan, place.user == "root", machine, node)
         texts["users.cfg"] = users
         found |= {f"{machine}/{name}": text for name, text in texts.items()}

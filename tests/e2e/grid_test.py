@@ -19,6 +19,7 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "deploy" / "cluster")]
 import probe  # noqa: E402
+import processes  # noqa: E402
 import stalls  # noqa: E402
 from laboratory import Laboratory, keep_if_failed, programs, robot_ports, sockets_of, wait_until  # noqa: E402
 
@@ -152,7 +153,21 @@ class SeveralMachinesTest(unittest.TestCase):
             wait_until(lambda its=name, old=before: machines.runs(its) and machines.record(its) != old, f"{name} is started again", SECONDS)
             lab.wait_for_entity("Greeter", seconds=SECONDS)
             wait_until(works, f"the robot can be used after the end of {name}", SECONDS)
-        # The third machine has nothing but a replica of IceStorm, and the others have a majority without it.
+        # A machine starts again while the registry is away: its replica starts what it is asked to start there.
+        processes.strike(machines.record("icegridregistry"), signal.SIGKILL, SECONDS)
+        address = machines.programs["es1"]
+        machines.restart(address)
+        for name in machines.layout[address].split():
+            wait_until(lambda its=name: not machines.admin(f"server start {its}", "icegridregistry2"), f"{name} is started by the replica", SECONDS)
+        wait_until(works, "the robot can be used after the restart of a machine", SECONDS)
+        # The replica takes the place of the registry, with all that this one knew.
+        file = machines.here(machines.programs["icegridregistry2"]) / "icegridregistry.cfg"
+        file.write_text("".join(line for line in file.read_text().splitlines(True) if not line.startswith("IceGrid.Registry.ReplicaName=")))
+        processes.strike(machines.record("icegridregistry2"), signal.SIGTERM, SECONDS)
+        machines.start_again("icegridregistry2")
+        wait_until(lambda: machines.admin("server state es1", "icegridregistry2", "Master").startswith("active"), "it knows what runs", SECONDS)
+        self.assertTrue(works())
+        # The third machine has replicas of IceStorm and of the registry, and the others have a majority without it.
         machines.machine("icestorm3").pull_cable()
         self.assertTrue(works())
 
