@@ -180,6 +180,8 @@ void PartnerCore::lose(const std::string& why) {
     while (!entities_.empty()) hide(std::string(entities_.begin()->first));
     hidden_.clear();
     limit_noted_ = false;
+    more_ = false;
+    list_at_ = TimePoint::max();
     if (was_up) note_("laboratory " + settings_.laboratory + " is lost: " + why);
     watch_again_ = clock_.now() + backoff_.next();
 }
@@ -213,10 +215,11 @@ void PartnerCore::onProfile(SessionNumber session, Presence presence, const Regi
         return hide(there);
     }
     if (!entities_.contains(there) && entities_.size() >= kEntities) {
+        more_ = true;
         if (!std::exchange(limit_noted_, true))
             note_("laboratory " + settings_.laboratory + " has more than " + std::to_string(kEntities) +
                   " entities: " + inQuotes(registration.name) +
-                  " and more are not shown; one of them is when it next changes and there is room");
+                  " and more are not shown until one of those that are has left");
         return;
     }
     proto::BasicProfile its;
@@ -253,7 +256,16 @@ void PartnerCore::hide(const std::string& there) {
         visitor.granted.erase(there);
         if (visitor.busy.contains(there)) paceOf(&visitor, there, false);
     }
+    if (more_ && list_at_ == TimePoint::max()) list_at_ = clock_.now() + kListAgain;
     home_.leave(home);
+}
+
+void PartnerCore::listAgain() {
+    Header head;
+    head.msg_type = kMsgStatus;
+    head.sent_at_us = toMicroseconds(clock_.now());
+    more_ = !there_.send(watch_, client::Operation::Request, head, {});
+    list_at_ = more_ ? clock_.now() + kListAgain : TimePoint::max();
 }
 
 void PartnerCore::onStatus(SessionNumber session, const EntityStatus& status) {
@@ -676,6 +688,7 @@ void PartnerCore::onTimer() {
             there_.keepAlive(watch_, ++watch_beats_);
             watch_beats_at_ = now + kIdleBeat;
         }
+        if (now >= list_at_) listAgain();
     }
     std::vector<std::string> idle, mute;
     for (auto& [client, visitor] : visitors_) {

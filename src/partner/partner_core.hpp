@@ -62,6 +62,8 @@ class PartnerCore {
     static constexpr std::size_t kHolders = 1024;
     static constexpr std::size_t kEntities = 1000;
     static constexpr std::size_t kStreams = 64;
+    /// Of more than kEntities, others are asked for so long after one of those that are shown has left.
+    static constexpr Duration kListAgain = std::chrono::seconds{2};
     static constexpr Duration kIdle = std::chrono::seconds{30};
     /// Beats of a visitor who uses an entity: a fifth of the shortest watchdog of a client. Call onTimer()
     /// twice as often.
@@ -159,6 +161,8 @@ class PartnerCore {
     void show(Shown& entity);
     void tellStatus(const Shown& entity);
     void hide(const std::string& there);
+    /// Asks the server there for all entities again: there are more than are shown, and there is room.
+    void listAgain();
     Sender holderAtHome(const Sender& there) const;
     /// The visitor of this id there.
     Visitor* visitorThere(const std::string& id);
@@ -217,6 +221,8 @@ class PartnerCore {
     std::map<std::string, Shown> entities_;        // by UUID there
     std::map<std::string, std::string> there_of_;  // UUID there, by UUID at home
     bool limit_noted_ = false;                     // that there are more than kEntities
+    bool more_ = false;                            // … that the server there has told
+    TimePoint list_at_ = TimePoint::max();
     std::set<std::string> hidden_;             // UUIDs there of entities whose names are not shown, and noted
     std::map<std::string, Visitor> visitors_;  // by client id at home
     std::map<SessionNumber, std::string> clients_of_;  // client id at home, by session

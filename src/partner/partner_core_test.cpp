@@ -206,6 +206,42 @@ TEST_F(PartnerCoreTest, OnlySoManyEntitiesAreShown) {
     EXPECT_EQ(home.shown.size(), 2U) << "those that are shown go on";
 }
 
+TEST_F(PartnerCoreTest, WhenOneOfTheManyEntitiesLeavesTheOthersAreAskedFor) {
+    const auto last = "r-" + std::to_string(PartnerCore::kEntities);
+    const auto lists = [&] {
+        return std::count_if(there.sent.begin(), there.sent.end(), [&](const auto& one) {
+            return one.session == watch && one.operation == client::Operation::Request &&
+                   one.head.msg_type == kMsgStatus && one.bytes.empty();
+        });
+    };
+    const auto hears = [&](Duration time) {  // the sessions do not expire meanwhile
+        core.onHeartbeat(watch);
+        core.onHeartbeat(there.for_stops.back());
+        core.onHomeHeartbeat(kRobotHome);
+        pass(time);
+    };
+    for (std::size_t i = 1; i < PartnerCore::kEntities; ++i)
+        robot("r-" + std::to_string(i), "Bot" + std::to_string(i));
+    robot("r-1", "Bot1", Presence::Left);
+    robot("r-1", "Bot1");
+    hears(3s);
+    EXPECT_EQ(lists(), 0) << "all of them are shown";
+    robot(last, "Last");
+    there.full = true;
+    robot("r-1", "Bot1", Presence::Left);
+    robot("r-2", "Bot2", Presence::Left);
+    hears(3s);
+    EXPECT_EQ(lists(), 0);
+    there.full = false;
+    hears(3s);
+    EXPECT_EQ(lists(), 1) << "once for both, and again if the server did not read";
+    robot(last, "Last");
+    EXPECT_EQ(home.joined.back(), "b/Last");
+    robot("r-3", "Bot3", Presence::Left);
+    hears(3s);
+    EXPECT_EQ(lists(), 1) << "there are no more";
+}
+
 TEST_F(PartnerCoreTest, AProfileThatIsNoneIsIgnored) {
     Registration registration;
     registration.entity = "r9";
