@@ -341,13 +341,13 @@ Glacier2.Client.ForwardContext=1
 Glacier2.Server.ForwardContext=1
 # Log each session that begins or ends:
 Glacier2.Trace.Session=1
-# Several threads, which keep the messages of each connection in order:
-Ice.ThreadPool.Client.Size=4
-Ice.ThreadPool.Client.SizeMax=16
-Ice.ThreadPool.Client.Serialize=1
-Ice.ThreadPool.Server.Size=4
-Ice.ThreadPool.Server.SizeMax=16
-Ice.ThreadPool.Server.Serialize=1
+# One thread for what arrives, and one for answers: they never wait for anybody, and several would wake each other for each
+# message (docs/adr/0018-routers.md). Should one core not do for a router, give these pools more, with Serialize=1, without
+# which messages overtake each other:
+Ice.ThreadPool.Server.Size=1
+Ice.ThreadPool.Server.SizeMax=1
+Ice.ThreadPool.Client.Size=1
+Ice.ThreadPool.Client.SizeMax=1
 # The connections to the servers last as long as their sessions. A server that stands still is given up, so that another
 # one is chosen: after a second without a sign of life in a call. (Heartbeats of the router's own would count as such.)
 Ice.ACM.Client.Timeout=1
