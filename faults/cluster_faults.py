@@ -310,7 +310,10 @@ class Run:
     def prepare(self):
         """Every robot is held by its client and busy; who holds which, {name: "server:client"}."""
         def busy(robot):
-            wait_until(lambda: not robot.client.does("work", robot.name), f"{robot.name} is held by {robot.client.name} and works", 30)
+            limit = time.monotonic() + READY_S
+            while refused := robot.client.does("work", robot.name):
+                if time.monotonic() > limit:
+                    raise Failed(f"{robot.name} does not work for {robot.client.name} within {READY_S} s: {refused}")
         idle = self.robots
         limit = time.monotonic() + READY_S
         while idle:  # some may be stopped again, if this host has no time for all that begin

@@ -42,6 +42,13 @@ class ClusterCommandTest(unittest.TestCase):
         self.assertEqual((code, list(before)), (0, names))
         self.assertEqual({program["state"] for program in before.values()}, {"running"})
 
+        for name in ("entity-router", "client-router"):
+            if may_raise_priority():
+                threads = [os.getpriority(os.PRIO_PROCESS, int(thread)) for thread in os.listdir(f"/proc/{before[name]['pid']}/task")]
+                self.assertEqual(sorted(threads)[:-1], [-10] * (len(threads) - 1), f"{name}: all but that for signals of the process")
+            else:
+                self.assertIn("LimitNICE=-10", pathlib.Path(before[name]["log"]).read_text())
+
         again = cluster.do("up")
         self.assertEqual(again.count("runs already"), len(names), again)
         self.assertEqual({name: program["pid"] for name, program in self.status()[1].items()},
@@ -130,6 +137,10 @@ class ClusterCommandTest(unittest.TestCase):
             self.assertEqual((done.returncode, done.stdout), (1, ""), done.stderr)
             self.assertIn("password", done.stderr)
             wait_until(lambda user=wrong["AXON_USER"]: f"failed log-in of '{user}'" in self.lab.server.text(), "the server notes it")
+
+
+def may_raise_priority():
+    return subprocess.run(["nice", "-n", "-10", "true"], check=False, stderr=subprocess.PIPE, text=True).stderr == ""
 
 
 if __name__ == "__main__":
