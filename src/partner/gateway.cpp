@@ -23,6 +23,8 @@ namespace axon::partner {
 namespace {
 
 constexpr std::size_t kEventBytes = 512;  // of what waits for the strand, besides its message
+static_assert(2 * SignalRelay::kShared + 64 < client::kSignalsUnsent,
+              "the shared session bears what passes at the edge of a second, and its own heartbeats");
 /// A server that does not answer takes a second each.
 constexpr std::size_t kLeavingMax = 32;
 
@@ -94,8 +96,8 @@ class Gateway::HomeLink final : public entity_manager::ServerEvents,
         const auto size = bytes.size();
         const auto client = head.sender.id;
         const auto verdict = gateway->shares_.take(client, size + kEventBytes, kEventBytes);
-        if (verdict == ClientShares::Verdict::Drop) return;
-        if (verdict == ClientShares::Verdict::Refuse) {
+        if (verdict == StrandShares::Verdict::Drop) return;
+        if (verdict == StrandShares::Verdict::Refuse) {
             proto::ToEntity asked;
             if (droppable || !asked.ParseFromString(bytes))
                 return gateway->shares_.give(client, kEventBytes, verdict);
@@ -125,15 +127,14 @@ class Gateway::Session final : public client::ConnectionEvents {
     void newProfile(std::uint64_t, Presence presence, const Registration& registration,
                     std::string_view profile) override {
         if (!watches_) return;
-        bounded(profile.size(), false,
-                [=, number = number_, profile = std::string(profile)](PartnerCore& core) {
-                    core.onProfile(number, presence, registration, profile);
-                });
+        watching(profile.size(), [=, number = number_, profile = std::string(profile)](PartnerCore& core) {
+            core.onProfile(number, presence, registration, profile);
+        });
     }
     void newStatus(std::uint64_t, const EntityStatus& status) override {
         if (!watches_) return;
-        bounded(textBytes(status), false,
-                [status, number = number_](PartnerCore& core) { core.onStatus(number, status); });
+        watching(textBytes(status),
+                 [status, number = number_](PartnerCore& core) { core.onStatus(number, status); });
     }
     void newEntityMsg(std::uint64_t, Lane lane, direct::Keeping keeping, const Header& head,
                       std::string_view message) override {
@@ -153,7 +154,8 @@ class Gateway::Session final : public client::ConnectionEvents {
         spdlog::info("the partner's server says: {}", text);
     }
     void newServerHeartbeat(std::uint64_t) override {
-        bounded(0, false, [number = number_](PartnerCore& core) { core.onHeartbeat(number); });
+        const auto beat = [number = number_](PartnerCore& core) { core.onHeartbeat(number); };
+        watches_ ? watching(0, beat) : bounded(0, false, beat);
     }
     void newServerRelease(const std::string&) override {}
     void closed(std::uint64_t, const std::string& reason) override {
@@ -171,27 +173,26 @@ class Gateway::Session final : public client::ConnectionEvents {
     std::optional<std::string> closed_early;  // before the strand has heard that it is open
 
   private:
+    /// What the session that watches is for.
+    void watching(std::size_t bytes, std::function<void(PartnerCore&)> event) {
+        if (const auto gateway = gateway_.lock()) gateway->postBounded(bytes, false, std::move(event));
+    }
     void bounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
         const auto gateway = gateway_.lock();
         if (!gateway) return;
-        if (watches_) {
-            gateway->postBounded(bytes, droppable, std::move(event));
-            return;
-        }
-        // Of a visitor who is sent more than is dealt with, nobody knows what would be lost.
         auto& shares = gateway->there_shares_;
-        const auto verdict = shares.take(share_, bytes + kEventBytes, ClientShares::kNone);
-        if (verdict == ClientShares::Verdict::Take)
-            gateway->postShare(shares, share_, verdict, bytes, droppable, std::move(event));
-        else if (!droppable && !flooded_.exchange(true))
+        auto verdict = StrandShares::Verdict::Drop;
+        const auto fate = share_.admit(shares, bytes + kEventBytes, droppable, verdict);
+        if (fate == SessionShare::Fate::Post)
+            gateway->postShare(shares, share_.name(), verdict, bytes, droppable, std::move(event));
+        else if (fate == SessionShare::Fate::End)
             closed(0, "this gateway does not keep up with what it is sent");
     }
 
     const std::weak_ptr<Gateway> gateway_;
     const SessionNumber number_;
-    const std::string share_ = std::to_string(number_);
     const bool watches_;
-    std::atomic<bool> flooded_{false};
+    SessionShare share_{std::to_string(number_), !watches_};
 };
 
 Gateway::Gateway(GatewaySettings settings, const Clock& clock)
@@ -257,7 +258,7 @@ void Gateway::post(std::function<void(PartnerCore&)> event) {
     });
 }
 
-bool Gateway::postShare(ClientShares& shares, const std::string& client, ClientShares::Verdict verdict,
+void Gateway::postShare(StrandShares& shares, const std::string& client, StrandShares::Verdict verdict,
                         std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
     const auto size = bytes + kEventBytes;
     const bool posted = postBounded(
@@ -266,7 +267,6 @@ bool Gateway::postShare(ClientShares& shares, const std::string& client, ClientS
             event(core);
         });
     if (!posted) shares.give(client, size, verdict);
-    return posted;
 }
 
 bool Gateway::postBounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event) {
@@ -312,7 +312,7 @@ void Gateway::stopSignal(const ShownEntity& entity, const Header& head, StopCaus
 void Gateway::command(client::Operation operation, const ShownEntity& entity, const Header& head) {
     if (signals_.command(operation, entity.there, head)) return;
     const auto verdict = shares_.take(head.sender.id, kEventBytes, kEventBytes);
-    if (verdict == ClientShares::Verdict::Drop) return;
+    if (verdict == StrandShares::Verdict::Drop) return;
     postShare(shares_, head.sender.id, verdict, 0, false,
               [home = entity.home, head](PartnerCore& core) { core.onCommandOfStranger(home, head); });
 }

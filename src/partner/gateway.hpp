@@ -40,8 +40,9 @@ struct GatewaySettings {
 /// an Entity Manager, where signals and data have each their own. A signal is passed on by the thread on
 /// which it comes. Bounds: kWaitingControl and kWaitingData wait for the strand. Droppable data beyond is
 /// dropped; a control message too many ends all sessions there (PartnerCore::onOverflow). Of one client of
-/// home, what is in its ClientShares; the rest of it is refused or dropped. Of one session there, likewise;
-/// beyond it this session ends. Ends of sessions are not counted.
+/// home, what is in its StrandShares; the rest of it is refused or dropped. Of one session there, likewise;
+/// beyond it this session ends. Of the session that watches, only receipts have a share, and are dropped
+/// beyond it. Ends of sessions are not counted.
 class Gateway final : public HomePort, public TherePort, public std::enable_shared_from_this<Gateway> {
   public:
     static constexpr std::size_t kWaitingData = std::size_t{8} * 1024 * 1024;
@@ -49,9 +50,9 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     static constexpr std::size_t kOfClients = std::size_t{20} * 1024 * 1024;
     static constexpr std::size_t kOfSessions = std::size_t{64} * 1024 * 1024;
     static_assert(
-        kOfClients + kOfSessions + ClientShares::kAllRefusals + (4096 + 200) * ClientShares::kLeast <
+        kOfClients + kOfSessions + StrandShares::kAllRefusals + (4096 + 2 * 202) * StrandShares::kLeast <
             kWaitingControl,
-        "what all clients of a server and 200 visitors' sessions may take does not end all sessions");
+        "what all clients of a server and the sessions of 200 visitors may take does not end all sessions");
 
     /// Throws std::runtime_error for settings that Ice does not accept.
     static std::shared_ptr<Gateway> create(GatewaySettings settings, const Clock& clock);
@@ -71,8 +72,8 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     void post(std::function<void(PartnerCore&)> event);
     /// False: it was dropped.
     bool postBounded(std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event);
-    /// The same, of what the share of this client, or session there, has taken. False: it was dropped.
-    bool postShare(ClientShares& shares, const std::string& client, ClientShares::Verdict verdict,
+    /// The same, of what the share of this client, or session there, has taken.
+    void postShare(StrandShares& shares, const std::string& client, StrandShares::Verdict verdict,
                    std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event);
     void turn();
 
@@ -120,8 +121,8 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     SignalRelay signals_;
     RateLimit warnings_{10};                  // of stops that were not passed on
     std::atomic<std::size_t> waiting_{0};     // bytes
-    ClientShares shares_{kOfClients};         // of clients at home
-    ClientShares there_shares_{kOfSessions};  // of sessions there, but for that which watches
+    StrandShares shares_{kOfClients};         // of clients at home
+    StrandShares there_shares_{kOfSessions};  // of sessions there; of that which watches, receipts
     std::atomic<std::size_t> leaving_{0};
     std::atomic<bool> overflown_{false};
     std::atomic<bool> stopping_{false};

@@ -140,7 +140,7 @@ void PartnerCore::onRefused(SessionNumber session, const Refusal& refusal) {
                   "); trying again until there is one");
         }
         watch_ = 0;
-        while (!entities_.empty()) hide(std::string(entities_.begin()->first));  // told before it failed
+        hideAll();  // told before it failed
         if (!stopped_) watch_again_ = clock_.now() + backoff_.next();
         return;
     }
@@ -177,13 +177,17 @@ void PartnerCore::lose(const std::string& why) {
                        "Laboratory " + settings_.laboratory + " was lost while it was under way: " + why,
                        {}};
     while (!visitors_.empty()) end(std::string(visitors_.begin()->first), Ending::Lost, lost);
+    hideAll();
+    if (was_up) note_("laboratory " + settings_.laboratory + " is lost: " + why);
+    watch_again_ = clock_.now() + backoff_.next();
+}
+
+void PartnerCore::hideAll() {
     while (!entities_.empty()) hide(std::string(entities_.begin()->first));
     hidden_.clear();
     limit_noted_ = false;
     more_ = false;
     list_at_ = TimePoint::max();
-    if (was_up) note_("laboratory " + settings_.laboratory + " is lost: " + why);
-    watch_again_ = clock_.now() + backoff_.next();
 }
 
 void PartnerCore::onHeartbeat(SessionNumber session) {

@@ -185,6 +185,7 @@ class PartnerCore {
     Refusal lostSession(const std::string& why) const;
     /// Nothing is shown and nobody visits until there is another session that watches.
     void lose(const std::string& why);
+    void hideAll();
     void openWatch();
     void openStops();
     void endStops();

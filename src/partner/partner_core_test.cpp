@@ -755,6 +755,23 @@ TEST_F(PartnerCoreTest, WithoutASessionForStrangersStopsTheOneThatWatchesTakesTh
     EXPECT_TRUE(there.stops_shared);
 }
 
+TEST_F(PartnerCoreTest, WhatASessionThatFailedWasToldOfIsNotAskedForInTheNext) {
+    core.onClosed(watch, "lost");
+    pass(200ms);
+    ASSERT_NE(there.opened.back().first, watch);
+    watch = there.opened.back().first;
+    for (std::size_t i = 0; i <= PartnerCore::kEntities; ++i)
+        robot("many-" + std::to_string(i), "Many" + std::to_string(i));
+    core.onRefused(watch, {RefusalCode::Overloaded, "full", {}});
+    EXPECT_EQ(core.entities(), 0U);
+    pass(500ms);
+    ASSERT_NE(there.opened.back().first, watch);
+    watch = there.opened.back().first;
+    core.onOpened(watch, {"w3", "lab-a", Role::Operator}, {});
+    pass(PartnerCore::kListAgain + 100ms);
+    EXPECT_THAT(there.sent, IsEmpty());
+}
+
 TEST_F(PartnerCoreTest, AReceiptThatComesByTheSessionThatWatchesIsForWhoStopped) {
     const auto lanes = std::make_shared<NoLanes>();
     signals.stopBy({"w", "lab-a", Role::Operator}, lanes, true);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <algorithm>
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -9,6 +10,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "partner/ports.hpp"
 
@@ -40,9 +42,10 @@ class Openings {
 
 /// How much of what waits for the strand is of each client of home, or of each session there, so that some of
 /// them do not fill it for all: an eighth of what is free, and of one of which nothing waits a message of a
-/// fourth. The more of them want much, the less each of these gets; but kLeast it always gets. Bound: `all`,
-/// and kLeast of each of which something waits. Any thread.
-class ClientShares {
+/// fourth. The more of them want much, the less each of these gets; but kLeast it always gets. Of what may be
+/// dropped, half as much, counted by itself, so that a stream takes nothing from a heartbeat. Bound: `all`,
+/// and 2 * kLeast of each of which something waits. Any thread.
+class StrandShares {
   public:
     static constexpr std::size_t kLeast = std::size_t{4} * 1024;
     /// Of refusals, beyond the share.
@@ -52,18 +55,19 @@ class ClientShares {
     static constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
 
     enum class Verdict : std::uint8_t {
-        Take,    ///< it is in the share: give() it back
-        Refuse,  ///< it is not; its refusal is: give() that back
-        Drop     ///< not even that
+        Take,           ///< it is in the share: give() it back
+        TakeDroppable,  ///< likewise
+        Refuse,         ///< it is not; its refusal is: give() that back
+        Drop            ///< not even that
     };
-    explicit ClientShares(std::size_t all) : all_bytes_(all) {}
+    explicit StrandShares(std::size_t all) : all_bytes_(all) {}
 
     /// `refusal`: bytes of one.
     Verdict take(const std::string& client, std::size_t bytes, std::size_t refusal) {
         const std::lock_guard lock(mutex_);
         const auto found = used_.find(client);
         const auto its = found == used_.end() ? Used{} : found->second;
-        const auto free = all_bytes_ - std::min(all_.taken, all_bytes_);
+        const auto free = freeBytes();
         const auto share = std::max(kLeast, its.taken == 0 ? free / 4 : free / 8);
         if (bytes <= share - std::min(its.taken, share)) {
             used_[client].taken += bytes;
@@ -75,27 +79,71 @@ class ClientShares {
         all_.refused += refusal;
         return Verdict::Refuse;
     }
+    /// The same of what may be dropped: TakeDroppable or Drop.
+    Verdict takeDroppable(const std::string& client, std::size_t bytes) {
+        const std::lock_guard lock(mutex_);
+        const auto found = used_.find(client);
+        const auto its = found == used_.end() ? std::size_t{0} : found->second.droppable;
+        const auto share = std::max(kLeast, its == 0 ? freeBytes() / 4 : freeBytes() / 8) / 2;
+        if (bytes > share - std::min(its, share)) return Verdict::Drop;
+        used_[client].droppable += bytes;
+        all_.droppable += bytes;
+        return Verdict::TakeDroppable;
+    }
     /// `verdict`: as these bytes were taken.
     void give(const std::string& client, std::size_t bytes, Verdict verdict) {
         const std::lock_guard lock(mutex_);
         const auto its = used_.find(client);
         if (its == used_.end() || verdict == Verdict::Drop) return;
-        const auto part = verdict == Verdict::Take ? &Used::taken : &Used::refused;
+        const auto part = verdict == Verdict::Take            ? &Used::taken
+                          : verdict == Verdict::TakeDroppable ? &Used::droppable
+                                                              : &Used::refused;
         const auto given = std::min(its->second.*part, bytes);
         its->second.*part -= given;
         all_.*part -= given;
-        if (its->second.taken == 0 && its->second.refused == 0) used_.erase(its);
+        const auto& left = its->second;
+        if (left.taken == 0 && left.droppable == 0 && left.refused == 0) used_.erase(its);
     }
 
   private:
     struct Used {
-        std::size_t taken = 0, refused = 0;  // bytes
+        std::size_t taken = 0, droppable = 0, refused = 0;  // bytes
     };
+    // Under the lock:
+    std::size_t freeBytes() const { return all_bytes_ - std::min(all_.taken + all_.droppable, all_bytes_); }
     const std::size_t all_bytes_;
     std::mutex mutex_;
     // Guarded by mutex_:
     std::map<std::string, Used> used_;  // by client
     Used all_;
+};
+
+/// What becomes of a message by a session there that waits for the strand: it is in the share of this session
+/// or is dropped, and of a visitor who is sent more than is dealt with, nobody knows what would be lost, so
+/// its session ends. The session that watches does not: it takes receipts here and nothing that it needs, and
+/// whoever gets no receipt stops again. Any thread.
+class SessionShare {
+  public:
+    enum class Fate : std::uint8_t {
+        Post,
+        Drop,
+        End  ///< the session; said once
+    };
+    SessionShare(std::string name, bool ends) : name_(std::move(name)), ends_(ends) {}
+
+    /// If it is to be posted: give() it back to `shares` as `verdict` says.
+    Fate admit(StrandShares& shares, std::size_t bytes, bool droppable, StrandShares::Verdict& verdict) {
+        verdict =
+            droppable ? shares.takeDroppable(name_, bytes) : shares.take(name_, bytes, StrandShares::kNone);
+        if (verdict != StrandShares::Verdict::Drop) return Fate::Post;
+        return ends_ && !droppable && !ended_.exchange(true) ? Fate::End : Fate::Drop;
+    }
+    const std::string& name() const { return name_; }
+
+  private:
+    const std::string name_;
+    const bool ends_;
+    std::atomic<bool> ended_{false};
 };
 
 }  // namespace axon::partner

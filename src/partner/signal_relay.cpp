@@ -69,29 +69,38 @@ void SignalRelay::forget(std::int64_t number) {
     origins_.erase(origin);
 }
 
-bool SignalRelay::justSent(std::int64_t number, const std::string& entity) {
+bool SignalRelay::justSent(const Header& head, const std::string& entity) {
+    const auto given = given_.find({head.sender.id, head.sequence});
+    if (given == given_.end()) return false;
+    const auto sent = recent_.find({given->second, entity});
+    return sent != recent_.end() && clock_.now() - sent->second < kRepeat;
+}
+
+void SignalRelay::noteSent(std::int64_t number, const std::string& entity) {
     const auto now = clock_.now();
     while (!recent_order_.empty() &&
            (recent_order_.size() >= kRecent || now - recent_.at(recent_order_.front()) >= kRepeat)) {
         recent_.erase(recent_order_.front());
         recent_order_.pop_front();
     }
-    if (!recent_.emplace(Sent{number, entity}, now).second) return true;
-    recent_order_.emplace_back(number, entity);
-    return false;
+    if (recent_.emplace(Sent{number, entity}, now).second) recent_order_.emplace_back(number, entity);
 }
 
 bool SignalRelay::tooMany(const std::string& client) {
     if (const auto now = clock_.now(); now - second_ >= std::chrono::seconds{1}) {
         second_ = now;
-        in_second_ = 0;
+        common_ = aside_ = 0;
         of_one_.clear();
     }
-    if (in_second_ >= kShared) return true;
-    auto& its = of_one_[client];
-    if (its >= kSharedOfOne) return true;
-    ++its;
-    ++in_second_;
+    const auto found = of_one_.find(client);
+    const auto its = found == of_one_.end() ? 0 : found->second;
+    if (its < kSharedLeast && aside_ < kSharedAside)
+        ++aside_;
+    else if (its < kSharedOfOne && common_ < kSharedCommon)
+        ++common_;
+    else
+        return true;
+    ++of_one_[client];
     return false;
 }
 
@@ -109,9 +118,10 @@ SignalRelay::Passed SignalRelay::stop(const std::string& entity, const Header& h
             lanes = visitor->second.lanes.stops;
         } else if (stops_) {
             lanes = stops_;
+            if (justSent(head, entity)) return Passed::Sent;
             if (shared_ && tooMany(head.sender.id)) return Passed::TooMany;
             its.sequence = numberOf(head);
-            if (justSent(its.sequence, entity)) return Passed::Sent;
+            noteSent(its.sequence, entity);
         } else if (visitor != visitors_.end()) {
             lanes = visitor->second.lanes.stops;
             its.sequence = 0;

@@ -27,8 +27,9 @@ namespace axon::partner {
 /// stops, under a number of this relay's. Sent again, it has the same number, so an Entity Manager takes it
 /// for the same stop; sent again within kRepeat, it is on its way already and is not passed on. translate()
 /// turns what a receipt there says into what it says at home. While there is no session for such stops alone,
-/// they go by one that is shared with other uses, and then only kSharedOfOne of a client and kShared in a
-/// second are passed on: a server ends a session that sends very many.
+/// they go by one that is shared with other uses, and then only so many are passed on in a second that it
+/// goes on: kSharedLeast of each client are set aside for it, as long as there is something of kSharedAside;
+/// beyond them kSharedOfOne of a client, and kSharedCommon of all.
 ///
 /// Threads: any; no call waits, and nothing is sent while the lock is held. Bounds: kRemembered stops that
 /// went by the session for them, kRememberedOfOne of each client, and kRemembered sessions that have ended;
@@ -43,8 +44,14 @@ class SignalRelay {
     /// A client sends a stop again after five times as long. What one number costs there, however often it is
     /// sent: 50 messages a second for each entity.
     static constexpr Duration kRepeat = std::chrono::milliseconds{20};
-    static constexpr std::size_t kShared = 20'000;     ///< a server ends a session that sends 100,000
-    static constexpr std::size_t kSharedOfOne = 2000;  ///< twice all entities that are shown
+    static constexpr std::size_t kSharedOfOne = 1000;  ///< all entities that are shown
+    static constexpr std::size_t kSharedCommon = 4000;
+    static constexpr std::size_t kSharedLeast = 4;
+    static constexpr std::size_t kSharedAside = 4000;
+    /// Twice as many may pass at once, at the end of one second and the beginning of the next. The connection
+    /// itself ends where client::kSignalsUnsent are unsent (gateway.cpp), and a server ends a session that
+    /// sends 100,000 in a second.
+    static constexpr std::size_t kShared = kSharedCommon + kSharedAside;
 
     explicit SignalRelay(const Clock& clock) : clock_(clock) {}
 
@@ -90,7 +97,8 @@ class SignalRelay {
     // Under the lock:
     std::int64_t numberOf(const Header& head);
     void forget(std::int64_t number);
-    bool justSent(std::int64_t number, const std::string& entity);
+    bool justSent(const Header& head, const std::string& entity);
+    void noteSent(std::int64_t number, const std::string& entity);
     bool tooMany(const std::string& client);
 
     const Clock& clock_;
@@ -100,7 +108,8 @@ class SignalRelay {
     Sender stopper_;                                  // who that is
     bool shared_ = false;                             // with other uses
     TimePoint second_{};                              // since when is counted:
-    std::size_t in_second_ = 0;
+    std::size_t common_ = 0;
+    std::size_t aside_ = 0;
     std::map<std::string, std::size_t> of_one_;                  // by client at home
     std::int64_t last_ = 0;                                      // number of a stop by it
     std::map<std::string, std::deque<std::int64_t>> of_client_;  // its numbers in origins_, by client at home

@@ -188,14 +188,33 @@ TEST_F(SignalRelayTest, ByASharedSessionOnlySoManyPassOfEachClientAndOfAll) {
     };
     EXPECT_EQ(stops("eve", SignalRelay::kSharedOfOne + 10), 10U);
     EXPECT_EQ(stops("ann", 1), 0U) << "others are unharmed";
-    for (int flooder = 0; shared->stops.size() < SignalRelay::kShared; ++flooder)
+    constexpr auto kFlooders =
+        SignalRelay::kSharedCommon / (SignalRelay::kSharedOfOne - SignalRelay::kSharedLeast) + 1;
+    for (std::size_t flooder = 0; flooder < kFlooders; ++flooder)
         stops("flooder" + std::to_string(flooder), SignalRelay::kSharedOfOne);
+    EXPECT_EQ(stops("bob", 1), 0U) << "something is set aside for each";
+    EXPECT_EQ(stops("carol", SignalRelay::kSharedLeast + 1), 1U) << "but no more";
+    // However many there are, no more than the connection bears.
+    for (std::size_t flooder = 0; flooder < SignalRelay::kShared; ++flooder)
+        stops("more" + std::to_string(flooder), 2);
     EXPECT_EQ(shared->stops.size(), SignalRelay::kShared);
-    EXPECT_EQ(stops("bob", 1), 1U);
     clock.advance(std::chrono::seconds{1});
-    EXPECT_EQ(stops("bob", 1), 0U) << "who repeats it";
+    EXPECT_EQ(stops("late", 1), 0U) << "who repeats it";
     relay.stopBy({"w2", "a", Role::Operator}, watch);
     EXPECT_EQ(stops("eve", SignalRelay::kSharedOfOne + 10), 0U) << "its own session may end";
+}
+
+TEST_F(SignalRelayTest, WhatIsOnItsWayAlreadyCostsNothingOfWhatPassesByASharedSession) {
+    auto shared = std::make_shared<Lanes>();
+    relay.stopBy({"v", "a", Role::Operator}, shared, true);
+    relay.stop("e", of(kAnn, 1), StopCause::Requested);
+    for (std::size_t i = 0; i < 2 * SignalRelay::kShared; ++i)
+        ASSERT_EQ(relay.stop("e", of(kAnn, 1), StopCause::Requested), SignalRelay::Passed::Sent);
+    EXPECT_EQ(shared->stops.size(), 1U);
+    for (std::int64_t number = 2; number <= static_cast<std::int64_t>(SignalRelay::kSharedOfOne); ++number)
+        ASSERT_EQ(relay.stop("e", of(kAnn, number), StopCause::Requested), SignalRelay::Passed::Sent);
+    EXPECT_EQ(relay.stop("e", of(kAnn, SignalRelay::kSharedOfOne + 1), StopCause::Requested),
+              SignalRelay::Passed::TooMany);
 }
 
 TEST_F(SignalRelayTest, AResetIsForWhoHasASession) {

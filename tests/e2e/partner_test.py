@@ -8,7 +8,6 @@ Laboratory a is where the people of these tests are; b has the cart of examples/
 do what. The gateway is a client of b, called lab-a there. First both have one server and passwords; then each has
 certificates of its own CA, and b two servers of each kind behind routers.
 """
-import collections
 import json
 import os
 import pathlib
@@ -117,6 +116,8 @@ class PartnerTest(unittest.TestCase):
     kept = False
 
     def setUp(self):
+        if self.gateway.child.poll() is not None:  # a test before has failed without it
+            PartnerTest.gateway = self.start_gateway()
         wait_until(lambda: self.a.seen().get(ROBOT), "a sees b's cart", 30)
         wait_until(lambda: not self.b.seen("local")["Cart"]["holder"], "it is free", 30)
         status, _, errors = self.b.says("local", "rearm", "Cart")
@@ -283,6 +284,11 @@ class CertificateTest(unittest.TestCase):
         cls.gateway = cls.start_gateway()
         wait_until(lambda: cls.a.seen().get(ROBOT), "a sees b's cart", 30)
 
+    def setUp(self):
+        if self.gateway.child.poll() is not None:  # a test before has failed without it
+            CertificateTest.gateway = self.start_gateway()
+        wait_until(lambda: list(self.a.seen()) == [ROBOT], "a sees b's cart and no other", 30)
+
     def tearDown(self):
         result = self._outcome.result
         if any(one is self for one, _ in result.failures + result.errors):
@@ -312,8 +318,18 @@ class CertificateTest(unittest.TestCase):
         its = cls.a.start(f"gateway-{name}-{len(cls.a.processes)}", "axon-partner", "--name", name, "--as", "a", "--client-config",
                           there or cls.config(cls.b, "client-lab-a", cls.routers_of_b()), "--entity-config",
                           cls.config(cls.a, at_home, f"Axon.Server={cls.a.at['entity']}"), "--state", cls.a.folder / name)
-        its.wait_for("ready ")
+        try:
+            its.wait_for("ready ")
+        except Failed:
+            its.end()
+            raise
         return its
+
+    def start_another(self, *its, **more):
+        """A gateway that ends with the test."""
+        gateway = self.start_gateway(*its, **more)
+        self.addCleanup(gateway.end)
+        return gateway
 
     @classmethod
     def routers_of_b(cls):
@@ -321,18 +337,17 @@ class CertificateTest(unittest.TestCase):
         return next(line for line in lines if line.startswith("Ice.Default.Router="))
 
     def drive(self):
-        """A client of its own drives b's cart; the client, and when it was asked to."""
+        """A client of its own drives b's cart; the client, and when it had said so."""
         tried = []
 
         def drives():
-            since = time.monotonic()
             self.a.says("bob", "rearm", ROBOT)
             client = self.a.axon_in_background("drive", "--name", "ann@lab", "run", ROBOT, "Drive", "Seconds=10",
                                                env=self.a.person("ann"))
             tried.append(client)
             # After half a second, when the beats have long been fast.
             wait_until(lambda: '"progress":0.' in client.text() or client.child.poll() is not None, "it drives or is refused", 20)
-            return client.child.poll() is None and (client, since)
+            return client.child.poll() is None and (client, time.monotonic())
         try:
             return wait_until(drives, "the cart drives", 30)
         except Failed as failure:
@@ -350,10 +365,10 @@ class CertificateTest(unittest.TestCase):
         return since
 
     def assert_usable(self, since):
-        """Who asks within five seconds of `since` can rearm and drive it. The client that does."""
-        client, asked = self.drive()
-        print(f", driven again by who asked after {asked - since:.1f} s", end="", file=sys.stderr, flush=True)
-        self.assertLess(asked - since, USABLE_WITHIN_S)
+        """Within five seconds of `since` it is rearmed and drives again. The client that does it."""
+        client, drives = self.drive()
+        print(f", drives again after {drives - since:.1f} s", end="", file=sys.stderr, flush=True)
+        self.assertLess(drives - since, USABLE_WITHIN_S)
         return client
 
     def kill_in_b(self, name):
@@ -367,28 +382,42 @@ class CertificateTest(unittest.TestCase):
         return max(self.b.server.names(kind), key=last)
 
     def routed(self):
-        """How many connections the gateway has to each of b's routers, by their names."""
-        ports = [one.remote_port for one in sockets_of(self.gateway.child.pid) if one.state == "01"]
-        return collections.Counter(program["name"] for program in self.b.server.status["programs"] for port in ports
-                                   if any(at.endswith(f":{port}") for at in program["ports"].values()))
+        """The names of b's routers, by the gateway's ports that are connected to them."""
+        names = {at.rpartition(":")[2]: program["name"] for program in self.b.server.status["programs"]
+                 for at in program["ports"].values()}
+        return {one.port: names[str(one.remote_port)] for one in sockets_of(self.gateway.child.pid)
+                if one.state == "01" and str(one.remote_port) in names}
+
+    def router_of_next(self):
+        """Has the cart driven; the name of the router by which the client that drives it goes."""
+        status, lines, errors = self.a.says("bob", "rearm", ROBOT)  # who has a session then
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        before = self.routed()
+        self.drive()
+
+        def its():
+            names = {name for port, name in self.routed().items() if port not in before}
+            return len(names) == 1 and names.pop()
+        return wait_until(its, "the gateway has new connections, all to one router of b")
 
     def test_it_announces_entities_of_its_own_laboratory_only(self):
-        other = self.start_gateway(at_home="entity-c_", name="d")
+        self.start_another(at_home="entity-c_", name="d")
         wait_until(lambda: "a partner's laboratory; expected a name that begins so" in self.a.server.text(), "it is refused", 20)
         self.assertEqual(list(self.a.seen()), [ROBOT])
-        other.end()
 
     def test_b_lets_nobody_in_but_its_own_certificates_each_with_the_role_of_its_user(self):
         router = self.routers_of_b()
-        started = {name: self.start_gateway(file, name=name) for name, file in (
-            ("other-ca", self.config(self.a, "client-lab-a", router)),
+        # Which knows b's CA, so that b has to refuse it, and not it b.
+        ca = f"IceSSL.CAs={self.b.server.folder / 'certs' / 'ca.cert.pem'}"
+        started = {name: self.start_another(file, name=name) for name, file in (
+            ("other-ca", self.config(self.a, "client-lab-a", router, ca)),
+            ("not-b", self.config(self.a, "client-lab-a", router)),
             ("no-user", self.config(self.b, "client-unknown", router)),
             ("no-client", self.config(self.b, "entity-lab-a", router)))}
-        started["guests"] = self.start_gateway(self.config(self.b, "client-guests", router), "entity-guests_", "guests")
-        for name, expected in (("other-ca", "of another CA"), ("no-user", "no user 'unknown'"),
+        started["guests"] = self.start_another(self.config(self.b, "client-guests", router), "entity-guests_", "guests")
+        for name, expected in (("other-ca", "opens no session: it closed the connection"), ("not-b", "of another CA"), ("no-user", "no user 'unknown'"),
                                ("no-client", "axon certs issue --client")):
-            with self.subTest(name):
-                wait_until(lambda its=started[name], text=expected: text in its.text(), f"it is told why: {expected}", 20)
+            wait_until(lambda its=started[name], text=expected: text in its.text(), f"{name} is told why: {expected}", 20)
         wait_until(lambda: sorted(self.a.seen()) == [ROBOT, "guests/Cart"], "observers of b see it", 20)
         # As an observer of b, whoever it is in a.
         _, lines, errors = self.a.says("ann", "checkout", "guests/Cart")
@@ -404,13 +433,12 @@ class CertificateTest(unittest.TestCase):
 
     def test_whoever_is_frozen_or_killed_the_robot_stops_and_can_be_used_again(self):
         # What is killed in b is not started again: it has another one of each.
-        before = self.routed()
-        self.drive()
-        router = max((self.routed() - before).items(), key=lambda its: its[1])[0]
+        router = self.router_of_next()
         client = self.assert_usable(self.assert_stops(f"{router} killed", lambda: self.kill_in_b(router)))
         since = self.assert_stops("client frozen", lambda: client.child.send_signal(signal.SIGSTOP))
-        client.kill()
-        client = self.assert_usable(since)
+        self.addCleanup(client.kill)
+        frozen, client = client, self.assert_usable(since)
+        frozen.kill()
         self.assert_usable(self.assert_stops("client killed", client.kill))
         name = self.which("fe", "client lab-a@ann at lab joined")
         self.assert_usable(self.assert_stops(f"{name} killed", lambda: self.kill_in_b(name)))

@@ -22,6 +22,10 @@ inline constexpr std::size_t kMessageOverhead = 1024;
 /// The content of one message: what the lanes take (server_connection.cpp), without room for its header.
 inline constexpr std::size_t kMessageBytesMax = (4096 - 64) * 1024;
 
+/// Of more the connection ends. A program may stop its entities one by one, and a stop is sent again until it
+/// is confirmed: 2048 of them, eight times, to a server that takes none.
+inline constexpr std::size_t kSignalsUnsent = 16 * 1024;
+
 /// Whether a message of `bytes` may join what waits for the server.
 inline Refusal admission(std::size_t messages, std::size_t waiting_bytes, std::size_t bytes) {
     if (messages >= kWaitingMax) {

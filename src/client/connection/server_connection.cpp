@@ -28,10 +28,6 @@ constexpr std::size_t kHeaderBytes = 200;
 static_assert(kMessageBytesMax + 64 * 1024 <= transport::kMessageSizeMaxKib * std::size_t{1024},
               "a message that is admitted must fit the lane, with its header");
 
-/// A program may stop its entities one by one, and a stop is sent again until it is confirmed: 2048 of them,
-/// eight times, to a server that takes none.
-constexpr std::size_t kSignalsUnsent = 16 * 1024;
-
 /// What users send is refused before it is lost. Besides it there are uploads, in the Entity Managers'
 /// windows.
 transport::OutboxLimits dataLimits() {
