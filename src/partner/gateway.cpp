@@ -161,6 +161,7 @@ class Gateway::Session final : public client::ConnectionEvents {
     void closed(std::uint64_t, const std::string& reason) override {
         const auto gateway = gateway_.lock();
         if (!gateway) return;
+        gateway->signals_.noStopBy(number_);  // at once: a stop does not wait for the strand
         asio::post(gateway->strand_, [weak = gateway_, number = number_, reason] {
             if (const auto self = weak.lock(); self && !self->stopping_) self->closed(number, reason);
         });
@@ -464,7 +465,7 @@ std::shared_ptr<const client::ServerConnection> Gateway::connectionOf(SessionNum
 }
 
 void Gateway::stopsBy(SessionNumber session, bool shared) {
-    if (const auto its = connectionOf(session)) signals_.stopBy(its->me(), its, shared);
+    if (const auto its = connectionOf(session)) signals_.stopBy(session, its->me(), its, shared);
 }
 
 void Gateway::visits(SessionNumber session, const Sender& client) {

@@ -43,15 +43,10 @@ void PartnerCore::openStops() {
 }
 
 void PartnerCore::endStops() {
+    signals_.noStopBy(stops_);
     if (stops_ != 0) there_.drop(std::exchange(stops_, 0));
     stops_heard_.reset();
-    stopsByWatch();
     if (!stopped_) stops_again_ = clock_.now() + stops_backoff_.next();
-}
-
-void PartnerCore::stopsByWatch() {
-    if (watcher_.id.empty()) return signals_.noStopBy();
-    there_.stopsBy(watch_, true);
 }
 
 void PartnerCore::openWatch() {
@@ -65,7 +60,7 @@ void PartnerCore::stop() {
     watch_again_ = TimePoint::max();
     while (!visitors_.empty()) end(std::string(visitors_.begin()->first), Ending::Orderly, {});
     while (!entities_.empty()) hide(std::string(entities_.begin()->first));
-    signals_.noStopBy();
+    for (const auto session : {watch_, stops_}) signals_.noStopBy(session);
     stops_again_ = TimePoint::max();
     if (watch_ != 0) there_.leave(std::exchange(watch_, 0));
     if (stops_ != 0) there_.leave(std::exchange(stops_, 0));
@@ -102,7 +97,7 @@ void PartnerCore::onOpened(SessionNumber session, const Sender& me, const client
     if (session == watch_) {
         watcher_ = me;
         if (stops_ == 0) stops_again_ = now;
-        if (!stops_heard_) stopsByWatch();
+        there_.stopsBy(session, true);
         watched_ = std::make_unique<Liveness>(watchdogs.busy, watchdogs.idle, now);
         watch_beats_at_ = now;
         backoff_.reset();
@@ -171,7 +166,7 @@ void PartnerCore::lose(const std::string& why) {
     const bool was_up = !watcher_.id.empty();
     const auto session = std::exchange(watch_, 0);
     watcher_ = {};
-    if (!stops_heard_) signals_.noStopBy();
+    signals_.noStopBy(session);
     if (session != 0) there_.drop(session);
     const Refusal lost{RefusalCode::OutcomeUnknown,
                        "Laboratory " + settings_.laboratory + " was lost while it was under way: " + why,

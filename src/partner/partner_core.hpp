@@ -189,8 +189,6 @@ class PartnerCore {
     void openWatch();
     void openStops();
     void endStops();
-    /// There is no session for them alone.
-    void stopsByWatch();
     /// Returns whether it changed.
     bool translate(const Shown& entity, Visitor& visitor, Lane lane, proto::ToClient& message);
 

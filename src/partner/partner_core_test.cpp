@@ -52,6 +52,12 @@ struct Home final : HomePort {
     std::vector<ToHome> sent, data;
 };
 
+struct CountingLanes final : client::StopLanes {
+    void sendStopSignal(Lane, const Header&, StopCause) const override { ++stops; }
+    void sendStopSignals(Lane, const Header&, const std::vector<std::string>&, StopCause) const override {}
+    mutable int stops = 0;
+};
+
 struct There final : TherePort {
     void open(SessionNumber session, const std::string& name, Use use) override {
         EXPECT_EQ(use != Use::Visit, !name.starts_with("a@"));
@@ -61,8 +67,9 @@ struct There final : TherePort {
             opened.emplace_back(session, name);
     }
     void stopsBy(SessionNumber session, bool shared) override {
-        stopping.push_back(session);
-        stops_shared = shared;
+        lanes[session] = std::make_shared<CountingLanes>();
+        signals->stopBy(session, {"s" + std::to_string(session), "lab-a", Role::Operator}, lanes[session],
+                        shared);
     }
     void visits(SessionNumber session, const Sender& client) override { visiting[session] = client.id; }
     bool send(SessionNumber session, client::Operation operation, const Header& head,
@@ -76,18 +83,13 @@ struct There final : TherePort {
     void drop(SessionNumber session) override { dropped.push_back(session); }
     std::vector<std::pair<SessionNumber, std::string>> opened;
     std::vector<SessionNumber> for_stops;  // opened for strangers' stops
-    std::vector<SessionNumber> stopping;   // that take them
-    bool stops_shared = false;             // the last of these
+    SignalRelay* signals = nullptr;
+    std::map<SessionNumber, std::shared_ptr<CountingLanes>> lanes;  // of those that take them
     std::map<SessionNumber, std::string> visiting;
     bool full = false;
     std::vector<ToThere> sent;
     std::map<SessionNumber, int> beats;
     std::vector<SessionNumber> left, dropped;
-};
-
-struct NoLanes final : client::StopLanes {
-    void sendStopSignal(Lane, const Header&, StopCause) const override {}
-    void sendStopSignals(Lane, const Header&, const std::vector<std::string>&, StopCause) const override {}
 };
 
 constexpr const char* kRobot = "r1";
@@ -107,6 +109,7 @@ struct PartnerCoreTest : testing::Test {
     SessionNumber watch = 0;
 
     void SetUp() override {
+        there.signals = &signals;
         core.start();
         EXPECT_THAT(there.opened, IsEmpty()) << "whoever sees a robot must be able to stop it";
         core.onOpened(there.for_stops.back(), {"s", "lab-a", Role::Operator}, {});
@@ -164,6 +167,18 @@ struct PartnerCoreTest : testing::Test {
         head.held = {3, 5};
         head.stop_generation = 9;
         core.onEntityMsg(session, lane, false, head, message.SerializeAsString());
+    }
+    /// By which session a stop of somebody without one of its own goes; 0: by none.
+    SessionNumber stopGoesBy() {
+        Header stop;
+        stop.sender = kBob;
+        std::map<SessionNumber, int> before;
+        for (const auto& [session, its] : there.lanes) before[session] = its->stops;
+        const auto passed = signals.stop(kRobot, stop, StopCause::Requested);
+        for (const auto& [session, its] : there.lanes)
+            if (its->stops > before[session]) return session;
+        EXPECT_EQ(passed, SignalRelay::Passed::NoSession);
+        return 0;
     }
     void pass(Duration time) {
         for (const auto until = clock.now() + time; clock.now() < until; clock.advance(25ms)) core.onTimer();
@@ -714,23 +729,21 @@ TEST_F(PartnerCoreTest, AnEntityThatIsHeldAlreadyWhenItHasToBeGivenUpIsReleased)
 
 TEST_F(PartnerCoreTest, TheSessionForStrangersStopsEndsAloneAndIsOpenedAgain) {
     const auto ann = visit(kAnn, kAnnThere);
-    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0]));
+    EXPECT_EQ(stopGoesBy(), there.for_stops[0]);
     core.onClosed(there.for_stops[0], "flooded");
     EXPECT_THAT(there.dropped, ElementsAre(there.for_stops[0]));
-    EXPECT_THAT(there.stopping, ElementsAre(there.for_stops[0], watch)) << "until there is another one";
-    EXPECT_TRUE(there.stops_shared);
+    EXPECT_EQ(stopGoesBy(), watch) << "until there is another one";
     EXPECT_THAT(home.left, IsEmpty());
     EXPECT_EQ(core.visitors(), 1U);
     pass(200ms);
     ASSERT_EQ(there.for_stops.size(), 2U);
     core.onRefused(there.for_stops[1], {RefusalCode::Overloaded, "full", {}});
     EXPECT_THAT(notes, testing::Contains(HasSubstr("no session for stops of clients without one (full)")));
-    EXPECT_EQ(there.stopping.back(), watch);
+    EXPECT_EQ(stopGoesBy(), watch);
     pass(400ms);
     ASSERT_EQ(there.for_stops.size(), 3U);
     core.onOpened(there.for_stops[2], {"s2", "lab-a", Role::Operator}, {});
-    EXPECT_EQ(there.stopping.back(), there.for_stops[2]);
-    EXPECT_FALSE(there.stops_shared);
+    EXPECT_EQ(stopGoesBy(), there.for_stops[2]);
     // It beats, and its own silence ends only itself.
     for (int i = 0; i < 11; ++i) {
         for (const auto session : {watch, ann}) core.onHeartbeat(session);
@@ -751,8 +764,9 @@ TEST_F(PartnerCoreTest, WithoutASessionForStrangersStopsTheOneThatWatchesTakesTh
     const auto again = there.opened.back().first;
     ASSERT_NE(again, watch);
     core.onOpened(again, {"w2", "lab-a", Role::Operator}, {});
-    EXPECT_EQ(there.stopping.back(), again);
-    EXPECT_TRUE(there.stops_shared);
+    EXPECT_EQ(stopGoesBy(), again);
+    core.onClosed(again, "lost");
+    EXPECT_EQ(stopGoesBy(), 0U);
 }
 
 TEST_F(PartnerCoreTest, WhatASessionThatFailedWasToldOfIsNotAskedForInTheNext) {
@@ -773,14 +787,13 @@ TEST_F(PartnerCoreTest, WhatASessionThatFailedWasToldOfIsNotAskedForInTheNext) {
 }
 
 TEST_F(PartnerCoreTest, AReceiptThatComesByTheSessionThatWatchesIsForWhoStopped) {
-    const auto lanes = std::make_shared<NoLanes>();
-    signals.stopBy({"w", "lab-a", Role::Operator}, lanes, true);
+    core.onClosed(there.for_stops[0], "flooded");
     Header stop;
     stop.sender = kBob;
     stop.sequence = 7;
     EXPECT_EQ(signals.stop(kRobot, stop, StopCause::Requested), SignalRelay::Passed::Sent);
     proto::ToClient message;
-    message.mutable_receipt()->set_stop_id(SignalId{"w", 1}.text());
+    message.mutable_receipt()->set_stop_id(SignalId{"s" + std::to_string(watch), 1}.text());
     fromThere(watch, message, Lane::Signal);
     ASSERT_EQ(home.sent.size(), 1U);
     EXPECT_EQ(home.sent[0].head.sender.id, kBob.id);

@@ -62,8 +62,9 @@ class TherePort {
     };
     /// Answered by PartnerCore::onOpened or onRefused, on another turn of the strand.
     virtual void open(SessionNumber session, const std::string& display_name, Use use) = 0;
-    /// Stops of clients without a session of their own go there, until it has ended. `shared`: all that is
-    /// shown depends on this session, so only so many pass that the server there does not end it.
+    /// Stops of clients without a session of their own go there, until it has ended. `shared`: only while
+    /// there is none that is not; all that is shown depends on this session, so only so many pass that it
+    /// does not end for them.
     virtual void stopsBy(SessionNumber session, bool shared) = 0;
     /// Signals of this client at home go there, until it has ended.
     virtual void visits(SessionNumber session, const Sender& client) = 0;

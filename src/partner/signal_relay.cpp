@@ -5,21 +5,27 @@
 
 namespace axon::partner {
 
-void SignalRelay::stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes, bool shared) {
+void SignalRelay::stopBy(SessionNumber session, const Sender& me,
+                         std::shared_ptr<const client::StopLanes> lanes, bool shared) {
     const std::lock_guard lock(mutex_);
-    stops_ = std::move(lanes);
-    shared_ = shared;
-    stopper_ = me;
+    (shared ? shared_ : alone_) = {session, me, std::move(lanes)};
+    if (standing().session == session) forgetStops();
+}
+
+void SignalRelay::noStopBy(SessionNumber session) {
+    const std::lock_guard lock(mutex_);
+    const bool was = standing().session == session;
+    for (auto* one : {&alone_, &shared_})
+        if (one->session == session) *one = {};
+    if (was) forgetStops();
+}
+
+void SignalRelay::forgetStops() {
     given_.clear();
     origins_.clear();
     of_client_.clear();
     recent_.clear();
     recent_order_.clear();
-}
-
-void SignalRelay::noStopBy() {
-    const std::lock_guard lock(mutex_);
-    stops_ = nullptr;
 }
 
 void SignalRelay::visit(const Sender& client, const Sender& there, Lanes lanes) {
@@ -114,12 +120,13 @@ SignalRelay::Passed SignalRelay::stop(const std::string& entity, const Header& h
         const auto visitor = visitors_.find(head.sender.id);
         // A number of a server's own would be none there; and one that is sent again goes as it went.
         const bool again = given_.contains({head.sender.id, head.sequence});
-        if (visitor != visitors_.end() && head.sequence < kServerSequences && !(again && stops_)) {
+        const auto& stops = standing().lanes;
+        if (visitor != visitors_.end() && head.sequence < kServerSequences && !(again && stops)) {
             lanes = visitor->second.lanes.stops;
-        } else if (stops_) {
-            lanes = stops_;
+        } else if (stops) {
+            lanes = stops;
             if (justSent(head, entity)) return Passed::Sent;
-            if (shared_ && tooMany(head.sender.id)) return Passed::TooMany;
+            if (!alone_.lanes && tooMany(head.sender.id)) return Passed::TooMany;
             its.sequence = numberOf(head);
             noteSent(its.sequence, entity);
         } else if (visitor != visitors_.end()) {
@@ -151,7 +158,7 @@ std::optional<SignalRelay::Origin> SignalRelay::originOf(std::string_view signal
     const auto id = SignalId::parse(signal_id);
     if (!id) return std::nullopt;
     const std::lock_guard lock(mutex_);
-    if (id->sender == stopper_.id) {
+    if (const auto& its = standing(); its.lanes && id->sender == its.me.id) {
         const auto found = origins_.find(id->sequence);
         return found == origins_.end() ? std::nullopt : std::optional(found->second);
     }

@@ -15,6 +15,7 @@
 #include "client/base/lanes.hpp"
 #include "common/clock.hpp"
 #include "common/routed.hpp"
+#include "partner/ports.hpp"
 
 namespace axon::partner {
 
@@ -60,10 +61,12 @@ class SignalRelay {
         std::shared_ptr<const client::DataLane> commands;  ///< which takes Reset and Clear
     };
 
-    /// The session for stops of clients without one is there, or another one that takes them meanwhile
-    /// (`shared`); `me`: who it is. Stops that went by an earlier one are forgotten.
-    void stopBy(const Sender& me, std::shared_ptr<const client::StopLanes> lanes, bool shared = false);
-    void noStopBy();
+    /// The session for stops of clients without one is there, or the one that takes them while there is none
+    /// for them alone (`shared`); `me`: who it is. Stops that went by another one are forgotten.
+    void stopBy(SessionNumber session, const Sender& me, std::shared_ptr<const client::StopLanes> lanes,
+                bool shared = false);
+    /// This session has ended, if it is one of the two: the next stop goes by the other one.
+    void noStopBy(SessionNumber session);
     /// The client of home is `there` in the partner's laboratory.
     void visit(const Sender& client, const Sender& there, Lanes lanes);
     /// Its session has ended. Receipts that name it are translated still.
@@ -94,7 +97,14 @@ class SignalRelay {
         Sender there;
         Lanes lanes;
     };
+    struct Standing {
+        SessionNumber session = 0;  // none
+        Sender me;
+        std::shared_ptr<const client::StopLanes> lanes;
+    };
     // Under the lock:
+    const Standing& standing() const { return alone_.lanes ? alone_ : shared_; }
+    void forgetStops();
     std::int64_t numberOf(const Header& head);
     void forget(std::int64_t number);
     bool justSent(const Header& head, const std::string& entity);
@@ -104,10 +114,8 @@ class SignalRelay {
     const Clock& clock_;
     mutable std::mutex mutex_;
     // Guarded by mutex_:
-    std::shared_ptr<const client::StopLanes> stops_;  // of the session for strangers' stops
-    Sender stopper_;                                  // who that is
-    bool shared_ = false;                             // with other uses
-    TimePoint second_{};                              // since when is counted:
+    Standing alone_, shared_;  // the sessions for strangers' stops
+    TimePoint second_{};       // since when is counted:
     std::size_t common_ = 0;
     std::size_t aside_ = 0;
     std::map<std::string, std::size_t> of_one_;                  // by client at home

@@ -55,7 +55,7 @@ struct SignalRelayTest : testing::Test {
     SignalRelay relay{clock};
     std::shared_ptr<Lanes> watch = std::make_shared<Lanes>();  // of the session for strangers' stops
     std::shared_ptr<Lanes> own = std::make_shared<Lanes>();
-    void SetUp() override { relay.stopBy({"w", "a", Role::Operator}, watch); }
+    void SetUp() override { relay.stopBy(1, {"w", "a", Role::Operator}, watch); }
 };
 
 TEST_F(SignalRelayTest, AStopOfSomebodyWithoutASessionGoesByTheOneForSuchStops) {
@@ -103,7 +103,7 @@ TEST_F(SignalRelayTest, AVisitorStopsByItsOwnSessionAndUnderItsOwnNumber) {
 }
 
 TEST_F(SignalRelayTest, WithoutAnySessionNothingIsSentAndThatIsSaid) {
-    relay.noStopBy();
+    relay.noStopBy(1);
     EXPECT_EQ(relay.stop("e", of(kAnn, 7), StopCause::Requested), SignalRelay::Passed::NoSession);
 }
 
@@ -134,7 +134,7 @@ TEST_F(SignalRelayTest, AReceiptOfSomebodyElsesStopIsLeftAsItIs) {
 TEST_F(SignalRelayTest, TheNumbersOfAnEarlierSessionMeanNothingInTheNext) {
     relay.stop("e", of(kAnn, 7), StopCause::Requested);
     auto receipt = receiptOf("w:" + std::to_string(watch->stops[0].sequence));
-    relay.stopBy({"w2", "a", Role::Operator}, watch);
+    relay.stopBy(2, {"w2", "a", Role::Operator}, watch);
     EXPECT_FALSE(relay.translate(receipt));
 }
 
@@ -170,14 +170,15 @@ TEST_F(SignalRelayTest, AStopThatIsRepeatedAtOnceIsOnItsWayAlready) {
     relay.stop("e", of(kAnn, 1), StopCause::Requested);
     EXPECT_EQ(watch->stops.size(), 5U) << "its receipt may have been lost";
     // Another session has not carried it.
-    relay.stopBy({"w2", "a", Role::Operator}, watch);
+    relay.stopBy(2, {"w2", "a", Role::Operator}, watch);
     relay.stop("e", of(kAnn, 1), StopCause::Requested);
     EXPECT_EQ(watch->stops.size(), 6U);
 }
 
 TEST_F(SignalRelayTest, ByASharedSessionOnlySoManyPassOfEachClientAndOfAll) {
     auto shared = std::make_shared<Lanes>();
-    relay.stopBy({"v", "a", Role::Operator}, shared, true);
+    relay.stopBy(3, {"v", "a", Role::Operator}, shared, true);
+    relay.noStopBy(1);
     const auto stops = [&](const std::string& who, std::size_t count) {
         std::size_t refused = 0;
         for (std::size_t i = 1; i <= count; ++i)
@@ -200,13 +201,14 @@ TEST_F(SignalRelayTest, ByASharedSessionOnlySoManyPassOfEachClientAndOfAll) {
     EXPECT_EQ(shared->stops.size(), SignalRelay::kShared);
     clock.advance(std::chrono::seconds{1});
     EXPECT_EQ(stops("late", 1), 0U) << "who repeats it";
-    relay.stopBy({"w2", "a", Role::Operator}, watch);
+    relay.stopBy(2, {"w2", "a", Role::Operator}, watch);
     EXPECT_EQ(stops("eve", SignalRelay::kSharedOfOne + 10), 0U) << "its own session may end";
 }
 
 TEST_F(SignalRelayTest, WhatIsOnItsWayAlreadyCostsNothingOfWhatPassesByASharedSession) {
     auto shared = std::make_shared<Lanes>();
-    relay.stopBy({"v", "a", Role::Operator}, shared, true);
+    relay.stopBy(3, {"v", "a", Role::Operator}, shared, true);
+    relay.noStopBy(1);
     relay.stop("e", of(kAnn, 1), StopCause::Requested);
     for (std::size_t i = 0; i < 2 * SignalRelay::kShared; ++i)
         ASSERT_EQ(relay.stop("e", of(kAnn, 1), StopCause::Requested), SignalRelay::Passed::Sent);
@@ -215,6 +217,29 @@ TEST_F(SignalRelayTest, WhatIsOnItsWayAlreadyCostsNothingOfWhatPassesByASharedSe
         ASSERT_EQ(relay.stop("e", of(kAnn, number), StopCause::Requested), SignalRelay::Passed::Sent);
     EXPECT_EQ(relay.stop("e", of(kAnn, SignalRelay::kSharedOfOne + 1), StopCause::Requested),
               SignalRelay::Passed::TooMany);
+}
+
+TEST_F(SignalRelayTest, WhenTheSessionForThemEndsTheNextStopGoesByTheSharedOneAndBackWhenThereIsAnother) {
+    auto shared = std::make_shared<Lanes>(), next = std::make_shared<Lanes>();
+    relay.stopBy(3, {"v", "a", Role::Operator}, shared, true);
+    relay.stop("e", of(kAnn, 1), StopCause::Requested);
+    EXPECT_THAT(shared->stops, testing::IsEmpty());
+    EXPECT_TRUE(relay.originOf("w:" + std::to_string(watch->stops.at(0).sequence)));
+    relay.noStopBy(77);  // some other one
+    relay.noStopBy(1);
+    relay.stop("e", of(kAnn, 1), StopCause::Requested);
+    ASSERT_EQ(shared->stops.size(), 1U) << "also one that the ended session has lost";
+    EXPECT_TRUE(relay.originOf("v:" + std::to_string(shared->stops[0].sequence)));
+    relay.stopBy(4, {"w2", "a", Role::Operator}, next);
+    relay.stop("e", of(kAnn, 2), StopCause::Requested);
+    EXPECT_EQ(next->stops.size(), 1U);
+    relay.noStopBy(3);
+    relay.stop("e", of(kAnn, 3), StopCause::Requested);
+    EXPECT_EQ(next->stops.size(), 2U) << "it does not need the shared one";
+    relay.noStopBy(4);
+    EXPECT_EQ(relay.stop("e", of(kAnn, 4), StopCause::Requested), SignalRelay::Passed::NoSession);
+    EXPECT_FALSE(relay.originOf(":1"));
+    EXPECT_EQ(watch->stops.size() + shared->stops.size(), 2U);
 }
 
 TEST_F(SignalRelayTest, AResetIsForWhoHasASession) {
