@@ -124,7 +124,7 @@ void PartnerCore::onRefused(SessionNumber session, const Refusal& refusal) {
         if (!watcher_.id.empty() && !std::exchange(stops_noted_, true))
             note_("laboratory " + settings_.laboratory +
                   " gives no session for stops of clients without one (" + refusal.message +
-                  "); of each of them, " + std::to_string(SignalRelay::kSharedOfOne) +
+                  "); of each of them, at most " + std::to_string(SignalRelay::kSharedOfOne) +
                   " stops in a second are passed on until it does");
         return endStops();
     }
