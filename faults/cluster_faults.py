@@ -24,6 +24,7 @@ Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
 import collections
+import contextlib
 import json
 import math
 import os
@@ -52,6 +53,7 @@ PATIENCE_S = 3.0
 USABLE_S = 5.0
 READY_S = 60
 AT_ONCE = 8  # robots that begin to work at the same time
+SEEN_S = 5  # until lists say that a robot works
 ANSWER_S = 20  # a client's answer, also while it looks for another router
 STALL_MS = 50
 ENTITIES_MAX, CLIENTS_MAX = 64, 32
@@ -309,21 +311,28 @@ class Run:
 
     def prepare(self):
         """Every robot is held by its client and busy; who holds which, {name: "server:client"}."""
+        limit = time.monotonic() + READY_S
+
         def busy(robot):
-            limit = time.monotonic() + READY_S
             while refused := robot.client.does("work", robot.name):
                 if time.monotonic() > limit:
-                    raise Failed(f"{robot.name} does not work for {robot.client.name} within {READY_S} s: {refused}")
-        idle = self.robots
-        limit = time.monotonic() + READY_S
-        while idle:  # some may be stopped again, if this host has no time for all that begin
+                    raise Failed(f"{robot.name} does not work for {robot.client.name}: {refused}")
+                time.sleep(0.05)
+
+        def working():
+            return {entity["name"]: entity["holder_id"] for entity in self.lab.entities() if entity["state"] == "BUSY"}
+
+        idle = [robot for robot in self.robots if robot.name not in working()]
+        while idle:
             for first in range(0, len(idle), AT_ONCE):
                 self.for_each(idle[first:first + AT_ONCE], busy)
-            listed = {entity["name"]: entity["holder_id"] for entity in self.lab.entities() if entity["state"] == "BUSY"}
+            with contextlib.suppress(Failed):  # some may be stopped again, if this host has no time for all that begin
+                wait_until(lambda: len(working()) == len(self.robots), "every robot is busy", SEEN_S)
+            listed = working()
             idle = [robot for robot in self.robots if robot.name not in listed]
             if idle and time.monotonic() > limit:
                 raise Failed(f"not busy within {READY_S} s: {', '.join(robot.name for robot in idle)}")
-        return listed
+        return working()
 
     def candidates(self, kind):
         """The programs of the kind."""

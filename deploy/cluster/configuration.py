@@ -161,8 +161,13 @@ def folders(plan, names):
     if plan.audited:
         found.append("audit")
     if plan.grid:
-        found += ["run", "db", *(f"db/{name.partition('@')[0]}" for name in names if name.startswith("ice"))]
+        found += ["run", "db", *(database(name) for name in names if name.startswith("ice"))]
     return found
+
+
+def database(name):
+    """The folder of a program of Ice's. That of both registries is called the same, so that one can take the other's place."""
+    return f"db/{REGISTRY if name == SECOND_REGISTRY else name.partition('@')[0]}"
 
 
 SERVER_PORTS = ("data", "signal", "router", "topics", "servers")
@@ -526,10 +531,10 @@ IceGrid.Registry.Discovery.Enabled=0
 IceGrid.Registry.Server.Endpoints={endpoint("servers")}
 # Where nodes come:
 IceGrid.Registry.Internal.Endpoints={endpoint("nodes")}
-# A node that was killed is let in again when its former session has expired, in seconds; IceGrid looks every 20 s:
-IceGrid.Registry.NodeSessionTimeout=3
+# Seconds after which a node that was killed is let in again; less does not help, because IceGrid looks every 20 s:
+IceGrid.Registry.NodeSessionTimeout=10
 # What it knows is kept here:
-IceGrid.Registry.LMDB.Path={plan.folder}/db/{name}
+IceGrid.Registry.LMDB.Path={plan.folder}/{database(name)}
 # Whoever has a certificate of this kind is an administrator; the password is not looked at:
 IceGrid.Registry.AdminPermissionsVerifier={GRID_INSTANCE}/NullPermissionsVerifier
 {grid_links(plan, name)}"""

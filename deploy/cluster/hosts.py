@@ -138,10 +138,10 @@ def files(plan, passwords, users, place):
     everything = configuration.files(plan, passwords, place)
     found = {}
     for (machine, here), node in zip(plan.nodes().items(), plan.node_programs()):
-        names = ["start.sh"] + [file for program in configuration.programs(plan) if program.name in here
+        names = ["start.sh"] + [file for program in configuration.programs(plan) if program.by_node and program.name in here
                                 for file in files_of(program)]
         texts = {name: everything[name] for name in dict.fromkeys(names)}
-        for registry in set(plan.registries()) & set(here):
+        if registry := next((name for name in plan.registries() if name in here), None):
             texts |= {"icegridregistry.cfg": configuration.grid_registry(plan, registry), "icegridadmin.cfg": configuration.grid_admin(plan, registry),
                       "icegrid.xml": everything["icegrid.xml"]}
         texts["icegridnode.cfg"] = configuration.grid_node(plan, place.user == "root", machine, node)

@@ -70,6 +70,7 @@ This package has axon-bench, axon-faults, axon-channel, axon-simulate, and
 axon-cluster, which runs the servers as separate processes behind routers."
   DEPENDS "axon ${same}" "axon-server ${same}" "axon-entity-manager ${same}" "libaxon-entity-interfacer0 ${same}"
     libzeroc-icestorm3.7 zeroc-icebox zeroc-glacier2 python3
+  RECOMMENDS logrotate
   SUGGESTS cyclonedds-tools gnuplot-nox mosquitto nats-server zeroc-ice-utils zeroc-icegrid)
 debian_package(axon-doc doc DESCRIPTION "documentation of Axon
 ${about}
