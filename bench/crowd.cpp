@@ -20,7 +20,10 @@
 #include "entity_manager/links/server/server_communicators.hpp"
 #include "open_entity.hpp"
 #include "robots.hpp"
+#include "transport/ice/endpoint.hpp"
+#include "transport/ice/tls.hpp"
 #include "transport/process/memory_lock.hpp"
+#include "transport/sessions/routed_session.hpp"
 
 namespace axon::bench {
 
@@ -181,7 +184,7 @@ int runCrowd(const CrowdWish& wish) {
     Board board(wish.board_file, wish.slots, false);
     SteadyClock clock;
     asio::thread_pool executor(1);
-    const auto ice = std::make_shared<ServerCommunicators>(1, 1);
+    std::map<std::string, std::string> properties;  // of Ice
     ServerAddress server;
     std::string address = wish.server;
     if (std::filesystem::exists(wish.server)) {
@@ -190,14 +193,18 @@ int runCrowd(const CrowdWish& wish) {
         address = configured->server;
         server.user = configured->user;
         server.password = configured->password;
+        properties = configured->properties;
     }
     if (address.find('/') != std::string::npos) {
-        server.router = address;
+        server.router = transport::wayToRouter(address, transport::speaksTls(properties));
+        server.tls = transport::isTlsRouter(server.router);
     } else {
-        const auto colon = address.rfind(':');
-        server.host = address.substr(0, colon);
-        server.port = static_cast<std::uint16_t>(std::stoi(address.substr(colon + 1)));
+        const auto called = transport::parseEndpoint(address);
+        server.host = called.host;
+        server.port = called.port;
+        server.tls = called.tls;
     }
+    const auto ice = std::make_shared<ServerCommunicators>(1, 1, properties);
 
     struct Member {
         SystemRandom random;
