@@ -346,13 +346,14 @@ Glacier2.Client.ForwardContext=1
 Glacier2.Server.ForwardContext=1
 # Log each session that begins or ends:
 Glacier2.Trace.Session=1
-# One thread for what arrives, and one for answers: they never wait for anybody, and several would wake each other for each
-# message (docs/adr/0018-routers.md). Should one core not do for a router, give these pools more, with Serialize=1, without
-# which messages overtake each other:
+# One thread for what arrives, because several would wake each other for each message (docs/adr/0018-routers.md). Should one
+# core not do for a router, give it more, with Serialize=1, without which messages overtake each other:
 Ice.ThreadPool.Server.Size=1
 Ice.ThreadPool.Server.SizeMax=1
-Ice.ThreadPool.Client.Size=1
-Ice.ThreadPool.Client.SizeMax=1
+# Several for answers, of which one may wait for a connection that is being closed:
+Ice.ThreadPool.Client.Size=4
+Ice.ThreadPool.Client.SizeMax=16
+Ice.ThreadPool.Client.Serialize=1
 # The connections to the servers last as long as their sessions. A server that stands still is given up, so that another
 # one is chosen: after a second without a sign of life in a call. (Heartbeats of the router's own would count as such.)
 Ice.ACM.Client.Timeout=1
