@@ -57,6 +57,8 @@ def parse(arguments):
         "configure", formatter_class=argparse.RawDescriptionHelpFormatter, help="Writes the configuration of several machines.",
         description="Writes, for each machine, the folder with which IceGrid starts its programs there. All links are under TLS.",
         epilog=f"FILE has one line for each machine, by the name or IPv4 address under which the others reach it, such as\n{hosts.EXAMPLE}\n"
+               "Besides these there may be more es and fe, client-router2 with entity-router2, and icegridregistry2 on another machine\n"
+               "than icegridregistry, as its replica.\n"
                "docs/how-to/two-machines.md goes on from there.")
     several.add_argument("--hosts", type=pathlib.Path, required=True, metavar="FILE", help="which program runs on which machine")
     several.add_argument("--to", type=pathlib.Path, required=True, metavar="DIR", help="the folder to write; it must be empty, or not exist")

@@ -350,7 +350,7 @@ Glacier2.Trace.Session=1
 # core not do for a router, give it more, with Serialize=1, without which messages overtake each other:
 Ice.ThreadPool.Server.Size=1
 Ice.ThreadPool.Server.SizeMax=1
-# Several for answers, of which one may wait for a connection that is being closed:
+# Several for answers: with one, log-ins once got none for four seconds:
 Ice.ThreadPool.Client.Size=4
 Ice.ThreadPool.Client.SizeMax=16
 Ice.ThreadPool.Client.Serialize=1
@@ -532,7 +532,7 @@ IceGrid.Registry.Discovery.Enabled=0
 IceGrid.Registry.Server.Endpoints={endpoint("servers")}
 # Where nodes come:
 IceGrid.Registry.Internal.Endpoints={endpoint("nodes")}
-# Seconds after which a node that was killed is let in again; less does not help, because IceGrid looks every 20 s:
+# Seconds until the session of a node that was killed ends, so that it is let in again. IceGrid looks every 20 s:
 IceGrid.Registry.NodeSessionTimeout=10
 # What it knows is kept here:
 IceGrid.Registry.LMDB.Path={plan.folder}/{database(name)}
