@@ -24,7 +24,6 @@ Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
 import collections
-import contextlib
 import json
 import math
 import os
@@ -322,17 +321,17 @@ class Run:
         def working():
             return {entity["name"]: entity["holder_id"] for entity in self.lab.entities() if entity["state"] == "BUSY"}
 
-        idle = [robot for robot in self.robots if robot.name not in working()]
-        while idle:
+        listed = working()
+        while idle := [robot for robot in self.robots if robot.name not in listed]:
+            if time.monotonic() > limit:
+                raise Failed(f"not busy within {READY_S} s: {', '.join(robot.name for robot in idle)}")
             for first in range(0, len(idle), AT_ONCE):
                 self.for_each(idle[first:first + AT_ONCE], busy)
-            with contextlib.suppress(Failed):  # some may be stopped again, if this host has no time for all that begin
-                wait_until(lambda: len(working()) == len(self.robots), "every robot is busy", SEEN_S)
-            listed = working()
-            idle = [robot for robot in self.robots if robot.name not in listed]
-            if idle and time.monotonic() > limit:
-                raise Failed(f"not busy within {READY_S} s: {', '.join(robot.name for robot in idle)}")
-        return working()
+            # Some may be stopped again, if this host has no time for all that begin.
+            seen = time.monotonic() + SEEN_S
+            while len(listed := working()) < len(self.robots) and time.monotonic() < seen:
+                time.sleep(0.05)
+        return listed
 
     def candidates(self, kind):
         """The programs of the kind."""

@@ -67,8 +67,7 @@ class StrandShares {
         const std::lock_guard lock(mutex_);
         const auto found = used_.find(client);
         const auto its = found == used_.end() ? Used{} : found->second;
-        const auto free = freeBytes();
-        const auto share = std::max(kLeast, its.taken == 0 ? free / 4 : free / 8);
+        const auto share = shareOf(its.taken);
         if (bytes <= share - std::min(its.taken, share)) {
             used_[client].taken += bytes;
             all_.taken += bytes;
@@ -84,7 +83,7 @@ class StrandShares {
         const std::lock_guard lock(mutex_);
         const auto found = used_.find(client);
         const auto its = found == used_.end() ? std::size_t{0} : found->second.droppable;
-        const auto share = std::max(kLeast, its == 0 ? freeBytes() / 4 : freeBytes() / 8) / 2;
+        const auto share = shareOf(its) / 2;
         if (bytes > share - std::min(its, share)) return Verdict::Drop;
         used_[client].droppable += bytes;
         all_.droppable += bytes;
@@ -110,7 +109,11 @@ class StrandShares {
         std::size_t taken = 0, droppable = 0, refused = 0;  // bytes
     };
     // Under the lock:
-    std::size_t freeBytes() const { return all_bytes_ - std::min(all_.taken + all_.droppable, all_bytes_); }
+    /// Of one of which `its` bytes wait.
+    std::size_t shareOf(std::size_t its) const {
+        const auto free = all_bytes_ - std::min(all_.taken + all_.droppable, all_bytes_);
+        return std::max(kLeast, its == 0 ? free / 4 : free / 8);
+    }
     const std::size_t all_bytes_;
     std::mutex mutex_;
     // Guarded by mutex_:

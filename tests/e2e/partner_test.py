@@ -90,13 +90,20 @@ def credentials(folder, name):
     return file
 
 
+def tidy(tests):
+    """Ends the two laboratories of a class of tests."""
+    for lab in (tests.a, tests.b):
+        lab.end()
+        print(f"logs: {lab.folder}", file=sys.stderr) if tests.kept else shutil.rmtree(lab.folder, ignore_errors=True)
+
+
 class PartnerTest(unittest.TestCase):
     """Both laboratories are there for all tests; each begins with a cart that is free and rearmed."""
 
     @classmethod
     def setUpClass(cls):
         cls.a, cls.b = Lab(), Lab()
-        cls.addClassCleanup(cls.tidy)
+        cls.addClassCleanup(tidy, cls)
         cls.users = users(cls.b.folder)
         cls.a.start_server()
         cls.b.start_server(None, "--users", cls.users)
@@ -106,12 +113,6 @@ class PartnerTest(unittest.TestCase):
             file.write("Axon.LeaseGrace=1\n")
         cls.cart = cls.b.start_cart("--config", config)
         cls.gateway = cls.start_gateway()
-
-    @classmethod
-    def tidy(cls):
-        for lab in (cls.a, cls.b):
-            lab.end()
-            print(f"logs: {lab.folder}", file=sys.stderr) if cls.kept else shutil.rmtree(lab.folder, ignore_errors=True)
 
     kept = False
 
@@ -263,7 +264,7 @@ class CertificateTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.a, cls.b = Lab(), Lab("cluster")
-        cls.addClassCleanup(cls.tidy)
+        cls.addClassCleanup(tidy, cls)
         for words in (("init",), ("issue", "--server", "localhost"), ("issue", "--entity", "b/"), ("issue", "--entity", "c/"),
                       ("issue", "--entity", "guests/"), ("issue", "--client", "ann"), ("issue", "--client", "lab-a")):
             cls.certs(cls.a, cls.a.folder / "certs", *words)
@@ -299,10 +300,6 @@ class CertificateTest(unittest.TestCase):
     def certs(lab, folder, *words):
         status, lines, errors = lab.axon("certs", *words, "--folder", folder)
         assert status == 0, f"{words} {lines} {errors}"
-
-    @classmethod
-    def tidy(cls):
-        PartnerTest.tidy.__func__(cls)
 
     @classmethod
     def config(cls, lab, name, *more):
