@@ -176,8 +176,8 @@ Result<void> Client::Session::establish() {
         login.attempt = ++attempt_;
         listening_ = login.attempt;
     }
-    const auto opened =
-        ServerConnection::open(communicators_->data(), communicators_->signal(), login, shared_from_this());
+    const auto opened = ServerConnection::open(communicators_->data(), communicators_->signal(), login,
+                                               shared_from_this(), *clock_);
     Refusal failure;
     if (!opened) {
         failure = opened.refusal();

@@ -197,8 +197,7 @@ void EntityManager::clientUpdate(Header head, ClientChange change) {
 }
 
 void EntityManager::serverHeartbeat() {
-    server_heard_ = true;
-    wake(inbox_.wake());
+    core_->onServerHeartbeat();  // the strand sees it when its timer rings
 }
 
 void EntityManager::clientMsg(Lane lane, Header head, std::string bytes) {
@@ -419,19 +418,12 @@ void EntityManager::drain() noexcept {
         ++handled;
         if (!stopped_) event();
     }
-    // After take(): a beat that was told that the strand comes is not left behind.
-    if (hearServer() || passed_on_ < handled) afterEvents();
+    if (passed_on_ < handled) afterEvents();
     letDirectGoOn();
     if (!left) return;
     asio::post(strand_, [weak = weak_from_this()] {
         if (const auto self = weak.lock()) self->drain();
     });
-}
-
-bool EntityManager::hearServer() {
-    if (!server_heard_.load() || !server_heard_.exchange(false)) return false;
-    if (!stopped_) core_->onServerHeartbeat();
-    return true;
 }
 
 void EntityManager::afterEvents() {
@@ -462,7 +454,6 @@ void EntityManager::armTimer() {
     timer_.at(deadline, [weak = weak_from_this()] {
         const auto self = weak.lock();
         if (!self || self->stopped_) return;
-        self->hearServer();
         self->core_->onTimer();
         self->direct_desk_->onTimer();
         self->afterEvents();

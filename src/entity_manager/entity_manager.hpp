@@ -133,7 +133,6 @@ class EntityManager final : public ServerEvents,
     /// An Ice thread may run it: what escaped here would be swallowed there, and leave a manager that hears
     /// nothing.
     void drain() noexcept;
-    bool hearServer();
     void afterEvents();
     /// Messages of the direct path wait for room, and there is some.
     void letDirectGoOn();
@@ -159,7 +158,6 @@ class EntityManager final : public ServerEvents,
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> direct_{false};
     std::atomic<int> openings_{0};             // that wait for the strand
-    std::atomic<bool> server_heard_{false};    // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};         // a control overflow on its way to the strand
     std::optional<std::size_t> direct_waits_;  // the bytes for which the direct path needs room
     int passed_on_ = 0;                        // messages of this turn that have changed nothing here

@@ -428,7 +428,7 @@ void Gateway::logIn(asio::thread_pool& threads, SessionNumber session, const std
     asio::post(threads, [this, weak = weak_from_this(), session, its, login, visits] {
         if (stopping_) return;
         const auto opened =
-            client::ServerConnection::open(there_ice_.data(), there_ice_.signal(), login, its);
+            client::ServerConnection::open(there_ice_.data(), there_ice_.signal(), login, its, clock_);
         const auto self = weak.lock();
         if (!self) return;
         asio::post(strand_, [self, session, its, opened, visits] {

@@ -48,8 +48,9 @@ transport::OutboxLimits signalLimits() {
 /// Pushes of the server, for one lane of one attempt.
 class CallbackServant final : public slice::ClientCallback {
   public:
-    CallbackServant(std::weak_ptr<ConnectionEvents> events, std::uint64_t attempt, Lane lane)
-        : events_(std::move(events)), attempt_(attempt), lane_(lane) {}
+    CallbackServant(std::weak_ptr<ConnectionEvents> events, std::uint64_t attempt, Lane lane,
+                    std::shared_ptr<transport::AnsweredBeats> beats)
+        : events_(std::move(events)), attempt_(attempt), lane_(lane), beats_(std::move(beats)) {}
 
     void newBasicPrflMsg(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
                          ByteRange profile, const Ice::Current&) override {
@@ -90,6 +91,7 @@ class CallbackServant final : public slice::ClientCallback {
     }
     void newHeartbeat(double, const Ice::Current& current) override {
         tell([&](auto& events) {
+            beats_->heard();
             events.newServerHeartbeat(attempt_);
             if (!current.ctx.empty()) events.newServerRelease(transport::releaseIn(current.ctx));
         });
@@ -103,6 +105,7 @@ class CallbackServant final : public slice::ClientCallback {
     const std::weak_ptr<ConnectionEvents> events_;
     const std::uint64_t attempt_;
     const Lane lane_;
+    const std::shared_ptr<transport::AnsweredBeats> beats_;
 };
 
 Traffic trafficOf(Operation operation) {
@@ -199,12 +202,13 @@ Opened openThroughRouter(const LaneHome& home, const std::string& token, const L
 ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, transport::OutboxLimits limits,
                                                      const std::string& endpoint, const std::string& token,
                                                      const Login& login,
-                                                     const std::shared_ptr<ConnectionEvents>& events) {
+                                                     const std::shared_ptr<ConnectionEvents>& events,
+                                                     const std::shared_ptr<transport::AnsweredBeats>& beats) {
     const auto timeout =
         static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(login.timeout).count());
     // The first has no token.
-    const auto servant =
-        std::make_shared<CallbackServant>(events, login.attempt, token.empty() ? Lane::Data : Lane::Signal);
+    const auto servant = std::make_shared<CallbackServant>(events, login.attempt,
+                                                           token.empty() ? Lane::Data : Lane::Signal, beats);
     const auto opened = home.router ? openThroughRouter(home, token, login, timeout, servant)
                                     : openAtGate(home, endpoint, login, timeout, servant);
     opened.connection->setAdapter(home.adapter);
@@ -235,12 +239,13 @@ ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, trans
 
 Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
     const LaneHome& data, const LaneHome& signal, const Login& login,
-    const std::shared_ptr<ConnectionEvents>& events) {
+    const std::shared_ptr<ConnectionEvents>& events, const Clock& clock) {
     auto connection = std::make_shared<ServerConnection>();
+    const auto& beats = connection->beats_ = std::make_shared<transport::AnsweredBeats>(clock);
     connection->attempt_ = login.attempt;
     connection->routed_ = data.router != nullptr;
     try {
-        connection->data_ = openLane(data, dataLimits(), login.endpoint.text(), {}, login, events);
+        connection->data_ = openLane(data, dataLimits(), login.endpoint.text(), {}, login, events, beats);
         const auto facts = connection->data_.session->setCallback(connection->data_.callback);
         connection->me_ = transport::fromIce(Axon::CommUtil::Sender(facts.me));
         connection->entities_ = facts.entities;
@@ -257,7 +262,8 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
         auto its_signal = signal;
         if (connection->routed_)
             its_signal.router = transport::sameRouter(signal.router, *connection->data_.connection->get());
-        connection->signal_ = openLane(its_signal, signalLimits(), endpoint, facts.token, login, events);
+        connection->signal_ =
+            openLane(its_signal, signalLimits(), endpoint, facts.token, login, events, beats);
         transport::prepareSignalLane(*connection->signal_.connection->get());
         connection->signal_.session->attachSignalLane(facts.token, connection->signal_.callback);
     } catch (...) {
@@ -358,11 +364,10 @@ void ServerConnection::sendClearSignal(const Header& head) const {
 }
 
 void ServerConnection::keepAlive(std::int64_t sequence) const {
-    // A router says nothing of a server that has died, but for a call that wants an answer.
-    if (routed_ && !asked_->exchange(true)) {
+    if (routed_ && beats_->ask()) {
         try {
             signal_.session->keepAliveAsync(
-                static_cast<double>(sequence), [asked = asked_] { *asked = false; },
+                static_cast<double>(sequence), [beats = beats_] { beats->answered(); },
                 [connection = signal_.connection](const std::exception_ptr& error) {
                     connection->disconnect({false, transport::translate(error).message}, false);
                 });

@@ -3,7 +3,6 @@
 #include <Ice/Ice.h>
 #include <axon/frontendcomm.h>
 
-#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -20,6 +19,7 @@
 #include "transport/ice/endpoint.hpp"
 #include "transport/ice/peer_connection.hpp"
 #include "transport/outbox/outbox.hpp"
+#include "transport/sessions/answered_beats.hpp"
 
 namespace axon::client {
 
@@ -50,7 +50,7 @@ class ServerConnection final : public DataLane, public StopLanes {
   public:
     static Result<std::shared_ptr<const ServerConnection>> open(
         const LaneHome& data, const LaneHome& signal, const Login& login,
-        const std::shared_ptr<ConnectionEvents>& events);
+        const std::shared_ptr<ConnectionEvents>& events, const Clock& clock);
 
     const Sender& me() const { return me_; }
     int entities() const { return entities_; }
@@ -91,7 +91,8 @@ class ServerConnection final : public DataLane, public StopLanes {
     /// `token`: of the other lane; empty for the first.
     static LaneEnd openLane(const LaneHome& home, transport::OutboxLimits limits, const std::string& endpoint,
                             const std::string& token, const Login& login,
-                            const std::shared_ptr<ConnectionEvents>& events);
+                            const std::shared_ptr<ConnectionEvents>& events,
+                            const std::shared_ptr<transport::AnsweredBeats>& beats);
     void sendResetSignal(const Header& head) const;
     void sendClearSignal(const Header& head) const;
 
@@ -104,8 +105,7 @@ class ServerConnection final : public DataLane, public StopLanes {
     Watchdogs watchdogs_;
     std::uint64_t attempt_ = 0;
     bool routed_ = false;
-    /// Through a router: a sign of life is on its way whose answer says that the server is there.
-    const std::shared_ptr<std::atomic<bool>> asked_ = std::make_shared<std::atomic<bool>>(false);
+    std::shared_ptr<transport::AnsweredBeats> beats_;  // of use through a router; shared with the calls
 };
 
 }  // namespace axon::client

@@ -109,6 +109,7 @@ class EntityManagerCore final : private Turn,
     void onResetSignal(const Header& head) { onSignal(Event::Reset, head); }
     void onClearSignal(const Header& head) { onSignal(Event::Clear, head); }
     void onClientUpdate(const Header& head, ClientChange change);
+    /// On any thread, at any time; takes no lock. Only makes deadlines later.
     void onServerHeartbeat() { presence_.heard(); }
 
     /// Re-reads nothing, changes nothing but what is due: watchdog, reservations, grace, places, not_after.

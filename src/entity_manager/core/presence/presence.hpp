@@ -46,6 +46,7 @@ class Presence final : public Owner {
     void sessionEnded(const std::string& reason);
     void up();
     void down() { up_ = false; }
+    /// On any thread; takes no lock.
     void heard();
     /// What the server allows for depends on whether the status it knows is BUSY. Call after every event.
     void setBusy(bool busy);

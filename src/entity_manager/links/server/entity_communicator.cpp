@@ -20,6 +20,7 @@
 #include "transport/ice/peer_connection.hpp"
 #include "transport/outbox/forward.hpp"
 #include "transport/outbox/proxy_sender.hpp"
+#include "transport/sessions/answered_beats.hpp"
 #include "transport/sessions/routed_session.hpp"
 
 namespace axon::entity_manager {
@@ -57,8 +58,11 @@ transport::OutboxLimits outboxLimits(Lane lane) {
 class EntityCallbackServant final : public EntityCallback {
   public:
     EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events,
-                          std::shared_ptr<ReleaseNotes> releases)
-        : lane_(lane), events_(std::move(events)), releases_(std::move(releases)) {}
+                          std::shared_ptr<ReleaseNotes> releases, const Clock& clock)
+        : beats_(clock), lane_(lane), events_(std::move(events)), releases_(std::move(releases)) {}
+
+    /// Ours, of the lane of this servant.
+    transport::AnsweredBeats& beats() { return beats_; }
 
     void newClientMsg(wire::Header head, ByteRange msg, const Ice::Current&) override {
         if (const auto events = events_.lock())
@@ -87,6 +91,7 @@ class EntityCallbackServant final : public EntityCallback {
     void newHeartbeat(double, const Ice::Current& current) override {
         const auto events = events_.lock();
         if (!events) return;
+        beats_.heard();
         events->serverHeartbeat();
         if (current.ctx.empty()) return;
         if (const auto note = releases_->onPeer("an entity server", transport::releaseIn(current.ctx)))
@@ -99,6 +104,7 @@ class EntityCallbackServant final : public EntityCallback {
     }
 
   private:
+    transport::AnsweredBeats beats_;
     const Lane lane_;
     const std::weak_ptr<ServerEvents> events_;
     const std::shared_ptr<ReleaseNotes> releases_;
@@ -119,8 +125,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
           events_(std::move(events)),
           retry_(strand_),
           beat_(strand_, clock_),
-          data_servant_(std::make_shared<EntityCallbackServant>(Lane::Data, events_, ice_->releases())),
-          signal_servant_(std::make_shared<EntityCallbackServant>(Lane::Signal, events_, ice_->releases())) {}
+          data_servant_(makeServant(Lane::Data)),
+          signal_servant_(makeServant(Lane::Signal)) {}
 
     void want(bool wanted) {
         if (wanted == wanted_) return;
@@ -361,6 +367,9 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     const std::shared_ptr<Ice::Communicator>& communicator(Lane lane) const {
         return lane == Lane::Signal ? ice_->signal() : ice_->data();
     }
+    std::shared_ptr<EntityCallbackServant> makeServant(Lane lane) const {
+        return std::make_shared<EntityCallbackServant>(lane, events_, ice_->releases(), clock_);
+    }
     const std::shared_ptr<EntityCallbackServant>& servant(Lane lane) const {
         return lane == Lane::Signal ? signal_servant_ : data_servant_;
     }
@@ -422,7 +431,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         signal_outbox_ = makeOutbox(Lane::Signal, signal_session_, signal_connection_);
         up_ = true;
         busy_ = false;
-        asked_ = false;
+        signal_servant_->beats().answered();  // what an earlier session asked gets no answer any more
         if (const auto events = events_.lock()) events->serverUp();
         keepAlive();
     }
@@ -437,8 +446,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void keepAlive() {
         if (!up_) return;
         const auto beat = static_cast<double>(++beats_);
-        // A router says nothing of a server that has died, but for a call that wants an answer.
-        if (address_.router.empty() || std::exchange(asked_, true)) {
+        if (address_.router.empty() || !signal_servant_->beats().ask()) {
             signal_outbox_->send(Traffic::Heartbeat, 0,
                                  forward<EntitySessionPrx>(&EntitySessionPrx::keepAliveAsync, beat));
         } else {
@@ -448,7 +456,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                     [weak = weak_from_this(), attempt = attempt_] {
                         if (const auto self = weak.lock())
                             self->post([attempt](Connection& me) {
-                                if (attempt == me.attempt_) me.asked_ = false;
+                                if (attempt == me.attempt_) me.signal_servant_->beats().answered();
                             });
                     },
                     failure(attempt_, "sign of life"));
@@ -575,7 +583,6 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     bool registered_ = false;
     bool busy_ = false;
     bool said_ = false;
-    bool asked_ = false;  // a sign of life is on its way that wants an answer
     bool closed_ = false;
 };
 

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <atomic>
+#include <chrono>
+
+#include "common/clock.hpp"
+
+namespace axon::transport {
+
+/// Which signs of life through a router want an answer (ADR 0018). A router does not tell that a server has
+/// died, except to a call that wants an answer; an answer costs as much as the sign of life, so there is none
+/// while the server's own heartbeats come. At most one is on its way.
+///
+/// Threads: any; there is no lock. One for each session.
+class AnsweredBeats {
+  public:
+    /// Two periods of the heartbeats while a task runs: then one is late. A server that beats more slowly,
+    /// as without a task, is asked nearly each time.
+    static constexpr std::chrono::milliseconds kHeardLately{100};
+
+    explicit AnsweredBeats(const Clock& clock) : clock_(clock) {}
+
+    /// A heartbeat of the server has come.
+    void heard() { heard_.store(clock_.now().time_since_epoch().count(), std::memory_order_relaxed); }
+    /// Whether the sign of life that is sent now is to want an answer; if so, answered() follows it.
+    bool ask() {
+        const TimePoint heard{Duration{heard_.load(std::memory_order_relaxed)}};
+        return clock_.now() - heard > kHeardLately && !asked_.exchange(true);
+    }
+    void answered() { asked_ = false; }
+
+  private:
+    const Clock& clock_;
+    std::atomic<Duration::rep> heard_{0};  // long ago: nothing has been heard yet
+    std::atomic<bool> asked_{false};
+};
+
+}  // namespace axon::transport
