@@ -51,7 +51,7 @@ STOP_MS = 250 + 100  # the longest watchdog of a hop while a task runs, and what
 PATIENCE_S = 3.0
 USABLE_S = 5.0
 READY_S = 60
-AT_ONCE = 8  # robots that begin to work at the same time
+AT_ONCE = 8  # robots or clients that begin at the same time
 SEEN_S = 5  # until lists say that a robot works
 ANSWER_S = 20  # a client's answer, also while it looks for another router
 STALL_MS = 50
@@ -263,13 +263,18 @@ class Run:
     def start(self):
         self.lab.start_cluster(shape=("--base-port", 0, "--front-ends", self.options.front_ends,
                                       "--entity-servers", self.options.entity_servers, "--routers", self.options.routers))
-        self.robots = [Robot(self.lab, number) for number in range(1, self.options.entities + 1)]
+        while len(self.robots) < self.options.entities:
+            self.robots += [Robot(self.lab, number) for number in self.next_of(self.robots, self.options.entities)]
+            wait_until(lambda: len(self.lab.entities()) == len(self.robots), "all robots are there", READY_S)
         self.names = [robot.name for robot in self.robots]
         python = self.options.bin.resolve().parent / "python"
-        self.clients = [Client(f"client-{number}", self.lab, python) for number in range(1, self.options.clients + 1)]
         self.other = Client("other", self.lab, python)
-        for client in (*self.clients, self.other):
-            client.wait_until_ready()
+        self.other.wait_until_ready()
+        while len(self.clients) < self.options.clients:
+            begun = [Client(f"client-{number}", self.lab, python) for number in self.next_of(self.clients, self.options.clients)]
+            self.clients += begun
+            for client in begun:
+                client.wait_until_ready()
         for number, robot in enumerate(self.robots):
             robot.client = self.clients[number % len(self.clients)]
         # As "axon --server" wants it: past the routers, to a server of one's choice.
@@ -279,7 +284,11 @@ class Run:
         past.write_text("".join(line for line in text.splitlines(True) if not line.startswith("Ice.Default.Router")))
         self.past_the_routers = dict(self.lab.env, AXON_CONFIG=str(past))
         self.tls = read_property(text, "IceSSL.DefaultDir") is not None
-        wait_until(lambda: len(self.lab.entities()) == len(self.robots), "all robots are there", 60)
+
+    @staticmethod
+    def next_of(begun, wanted):
+        """The numbers of those that begin next, of `wanted` that are counted from 1."""
+        return range(len(begun) + 1, min(len(begun) + AT_ONCE, wanted) + 1)
 
     def end(self):
         for client in filter(None, (*self.clients, self.other)):

@@ -3,6 +3,9 @@
 #include "router_guard/router_guard.hpp"
 
 #include <sys/resource.h>
+#include <unistd.h>
+
+#include <fstream>
 
 namespace {
 
@@ -12,10 +15,15 @@ constexpr int kNice = -10;
 
 /// For this thread and all that it starts, those of Ice among them.
 void goBeforeOthers(const Ice::CommunicatorPtr& communicator) {
-    if (::setpriority(PRIO_PROCESS, 0, kNice) != 0)
+    if (::setpriority(PRIO_PROCESS, 0, kNice) != 0) {
         communicator->getLogger()->print(
             "router guard: a priority above that of other programs is not permitted, so stops are slower "
             "under full load; fix: LimitNICE=-10 in the systemd unit, or start it as root");
+        return;
+    }
+    // With kernel.sched_autogroup_enabled, Linux compares sessions first, and programs within one only. A
+    // session that others share stays as it is. Without autogroups there is no such file.
+    if (::getsid(0) == ::getpid()) std::ofstream("/proc/self/autogroup") << kNice;
 }
 
 }  // namespace

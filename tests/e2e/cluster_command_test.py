@@ -46,6 +46,9 @@ class ClusterCommandTest(unittest.TestCase):
             if may_raise_priority():
                 threads = [os.getpriority(os.PRIO_PROCESS, int(thread)) for thread in os.listdir(f"/proc/{before[name]['pid']}/task")]
                 self.assertEqual(sorted(threads)[:-1], [-10] * (len(threads) - 1), f"{name}: all but that for signals of the process")
+                autogroup = pathlib.Path(f"/proc/{before[name]['pid']}/autogroup")
+                if autogroup.exists():
+                    self.assertRegex(autogroup.read_text(), "nice -10$", f"{name}: its session's group, which Linux compares first")
             else:
                 self.assertIn("LimitNICE=-10", pathlib.Path(before[name]["log"]).read_text())
 
