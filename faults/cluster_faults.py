@@ -119,7 +119,7 @@ def is_connected(pid, port):
 
 
 class Robot:
-    """A hello-entity application: it prints a line when its stop callback is called, and that moment is noted."""
+    """A process of cluster_robot.cpp: it says itself when its stop callback was called."""
 
     def __init__(self, lab, number):
         self.name = f"robot-{number}"
@@ -131,7 +131,7 @@ class Robot:
         (folder / "ports.cfg").write_text(f"Axon.Ports = {low}-{low + 3}\n")
         self.stops = []  # (moment, cause)
         with open(lab.folder / f"{self.name}.log", "wb") as log:
-            self.application = subprocess.Popen([lab.bin / "hello-entity", folder, folder / "ports.cfg"], env=lab.env,
+            self.application = subprocess.Popen([lab.bin / "cluster-robot", folder, folder / "ports.cfg"], env=lab.env,
                                                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, text=True,
                                                 start_new_session=True)
         threading.Thread(target=self.listen, daemon=True).start()
@@ -140,7 +140,8 @@ class Robot:
 
     def listen(self):
         for line in self.application.stdout:
-            self.stops.append((time.monotonic(), line.strip()))
+            nanoseconds, cause = line.strip().split(" ", 1)
+            self.stops.append((int(nanoseconds) / 1e9, cause))  # CLOCK_MONOTONIC, as time.monotonic()
 
     def first_stop(self, since):
         return next(((at, cause) for at, cause in list(self.stops) if at >= since), None)
