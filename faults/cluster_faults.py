@@ -54,6 +54,7 @@ READY_S = 60
 AT_ONCE = 8  # robots or clients that begin at the same time
 SEEN_S = 5  # until lists say that a robot works
 ANSWER_S = 20  # a client's answer, also while it looks for another router
+READ_S = 0.2  # until this program has read what a robot has written, on a busy host
 STALL_MS = 50
 ENTITIES_MAX, CLIENTS_MAX = 64, 32
 PYTHON = "/usr/bin/python3"  # the build must have its package for this one, as it does unless AXON_PYTHON_PROGRAM names another
@@ -92,6 +93,11 @@ KINDS = {
 }
 
 
+def in_groups(items):
+    """Slices of those that begin at the same time."""
+    return [items[first:first + AT_ONCE] for first in range(0, len(items), AT_ONCE)]
+
+
 class HostProbe(threading.Thread):
     """How long this host let an ordinary thread wait that wanted to run."""
 
@@ -119,7 +125,7 @@ def is_connected(pid, port):
 
 
 class Robot:
-    """A process of cluster_robot.cpp: it says itself when its stop callback was called."""
+    """A process of cluster_robot.cpp: it reports when its stop callback was called."""
 
     def __init__(self, lab, number):
         self.name = f"robot-{number}"
@@ -264,15 +270,15 @@ class Run:
     def start(self):
         self.lab.start_cluster(shape=("--base-port", 0, "--front-ends", self.options.front_ends,
                                       "--entity-servers", self.options.entity_servers, "--routers", self.options.routers))
-        while len(self.robots) < self.options.entities:
-            self.robots += [Robot(self.lab, number) for number in self.next_of(self.robots, self.options.entities)]
+        for group in in_groups(range(1, self.options.entities + 1)):
+            self.robots += [Robot(self.lab, number) for number in group]
             wait_until(lambda: len(self.lab.entities()) == len(self.robots), "all robots are there", READY_S)
         self.names = [robot.name for robot in self.robots]
         python = self.options.bin.resolve().parent / "python"
         self.other = Client("other", self.lab, python)
         self.other.wait_until_ready()
-        while len(self.clients) < self.options.clients:
-            begun = [Client(f"client-{number}", self.lab, python) for number in self.next_of(self.clients, self.options.clients)]
+        for group in in_groups(range(1, self.options.clients + 1)):
+            begun = [Client(f"client-{number}", self.lab, python) for number in group]
             self.clients += begun
             for client in begun:
                 client.wait_until_ready()
@@ -285,11 +291,6 @@ class Run:
         past.write_text("".join(line for line in text.splitlines(True) if not line.startswith("Ice.Default.Router")))
         self.past_the_routers = dict(self.lab.env, AXON_CONFIG=str(past))
         self.tls = read_property(text, "IceSSL.DefaultDir") is not None
-
-    @staticmethod
-    def next_of(begun, wanted):
-        """The numbers of those that begin next, of `wanted` that are counted from 1."""
-        return range(len(begun) + 1, min(len(begun) + AT_ONCE, wanted) + 1)
 
     def end(self):
         for client in filter(None, (*self.clients, self.other)):
@@ -335,8 +336,8 @@ class Run:
         while idle := [robot for robot in self.robots if robot.name not in listed]:
             if time.monotonic() > limit:
                 raise Failed(f"not busy within {READY_S} s: {', '.join(robot.name for robot in idle)}")
-            for first in range(0, len(idle), AT_ONCE):
-                self.for_each(idle[first:first + AT_ONCE], busy)
+            for group in in_groups(idle):
+                self.for_each(group, busy)
             # Some may be stopped again, if this host has no time for all that begin.
             seen = time.monotonic() + SEEN_S
             while len(listed := working()) < len(self.robots) and time.monotonic() < seen:
@@ -426,11 +427,16 @@ class Run:
         def wait_for(names, until):
             while not all(robot.first_stop(begin) for robot in self.robots if robot.name in names) and time.monotonic() < until:
                 time.sleep(0.002)
-        wait_for(self.names, begin + STOP_MS / 1000 + 0.05)
+        wait_for(self.names, begin + STOP_MS / 1000 + READ_S)
         wait_for(must, begin + STOP_MS / 1000 + PATIENCE_S)
+        going = [robot for robot in self.robots if robot.name not in must and not robot.first_stop(begin)]
+        drills = dict(zip((robot.name for robot in going), self.for_each(going, lambda robot: robot.client.does("drill", robot.name))))
+        wait_for({name for name, refused in drills.items() if refused}, time.monotonic() + READ_S)  # they may have stopped in time
         for robot in self.robots:
-            stop = robot.first_stop(begin)
-            if stop:
+            stop, refused = robot.first_stop(begin), drills.get(robot.name)
+            if refused == "":
+                report.kept += 1
+            elif stop:
                 ms = (stop[0] - begin) * 1000
                 report.stops_ms.append(ms)
                 report.causes[stop[1]] = report.causes.get(stop[1], 0) + 1
@@ -440,17 +446,11 @@ class Run:
                         report.late_beside_stall += 1
                     else:
                         report.violation(f"{robot.name} stopped {ms:.0f} ms after {victim} was harmed")
-            elif robot.name in must:
-                report.never += 1
-                report.violation(f"{robot.name} did not stop after {victim} was harmed")
-        going = [robot for robot in self.robots if robot.name not in must and not robot.first_stop(begin)]
-        for robot, refused in zip(going, self.for_each(going, lambda robot: robot.client.does("drill", robot.name))):
-            if not refused:
-                report.kept += 1
             else:
                 report.never += 1
-                report.violation(f"{robot.name} went on without a chain after {victim} was harmed: {refused}")
-        return {robot.name for robot in going}
+                why = f"did not stop after {victim} was harmed" if refused is None else f"went on without a chain after {victim} was harmed: {refused}"
+                report.violation(f"{robot.name} {why}")
+        return {name for name, refused in drills.items() if not refused}
 
     def judge_recovery(self, victim, since, how, without, report):
         """`since`: when the time begins in which everything must be usable; `without`: the programs that are not there."""
@@ -574,6 +574,8 @@ def main():
         parser.error(f"expected --entities 1 to {ENTITIES_MAX}, --clients 1 to {CLIENTS_MAX} and at least one trial")
     if not (python := options.bin.resolve().parent / "python" / "axon").exists():
         parser.error(f"{python} does not exist; fix: build with AXON_PYTHON=ON")
+    if not (robot := options.bin / "cluster-robot").exists():
+        parser.error(f"{robot} does not exist; fix: build the target cluster-robot")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     if any(KINDS[kind].environment == "machines" for kind in kinds):
         try:

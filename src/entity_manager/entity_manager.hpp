@@ -29,7 +29,8 @@ namespace axon::entity_manager {
 ///
 /// Threads: everything is confined to the strand, which a thread that brings data or control messages takes
 /// itself when it is free; but the way of a stop: the signal thread writes it to the Entity Interfacer,
-/// raises the generation, and only then tells the strand (ADR 0007). Nothing that the server
+/// raises the generation, and only then tells the strand (ADR 0007); it also counts the server's heartbeats,
+/// and tells nobody. Nothing that the server
 /// pushes on the signal lane takes a lock that data holds. Ownership: a shared object, because pushes of the
 /// server may be under way while it ends. stop() before the last reference is dropped.
 class EntityManager final : public ServerEvents,

@@ -55,6 +55,9 @@ class GridTest(unittest.TestCase):
         self.assertEqual(sorted(self.icegridadmin("server list").stdout.split()), sorted(OF_NODE))
         for name in OF_NODE:
             self.assertRegex(self.icegridadmin(f"server state {name}").stdout, rf"active \(pid = {before[name]['pid']}, enabled\)")
+        autogroup = pathlib.Path(f"/proc/{before['client-router']['pid']}/autogroup")
+        if autogroup.exists():
+            self.assertNotIn("nice -10", autogroup.read_text(), "the session is the node's, too")
 
         for name in OF_NODE:
             os.kill(before[name]["pid"], signal.SIGKILL)

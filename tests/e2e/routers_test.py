@@ -8,6 +8,7 @@ Real processes: axon-server, two glacier2router, the Entity Manager of hello-ent
 """
 import os
 import pathlib
+import re
 import shutil
 import signal
 import socket
@@ -43,6 +44,14 @@ def connections_to(port):
     """How many processes of this machine are connected to this port of 127.0.0.1."""
     lines = pathlib.Path("/proc/net/tcp").read_text().splitlines()[1:]
     return sum(1 for line in lines if line.split()[2] == f"0100007F:{port:04X}" and line.split()[3] == "01")
+
+
+def beats_in(trace):
+    """(heartbeats that want an answer, all heartbeats) of what Ice.Trace.Protocol=1 has told."""
+    numbers = [int(number) for number, operation in
+               re.findall(r"sending (?:asynchronous )?request\b.*?request id = (\d+).*?operation = (\w+)", trace, re.DOTALL)
+               if operation == "keepAlive"]
+    return sum(1 for number in numbers if number), len(numbers)
 
 
 class RoutersTest(unittest.TestCase):
@@ -370,6 +379,23 @@ IceSSL.VerifyPeer=2
         self.assertLess(took, STOPPED_WITHIN_S)
         self.start_server()
         self.assert_usable(time.monotonic())
+
+    def test_a_heartbeat_wants_an_answer_only_if_the_server_is_silent(self):
+        for name in ("client.cfg", "entitygl2client.cfg"):
+            self.write(name, (self.lab.folder / name).read_text() + "Ice.Trace.Protocol=1\n")
+        self.start_all()
+        client = self.start_waiting()
+        before = {process: beats_in(process.text()) for process in (client, self.manager)}
+        for process in before:
+            wait_until(lambda its=process: beats_in(its.text())[1] >= before[its][1] + 40, f"{process.name} beats", 20)
+        for process, (asked_then, then) in before.items():
+            asked, now = (number - old for number, old in zip(beats_in(process.text()), (asked_then, then)))
+            self.assertLess(asked, now / 4, f"{process.name}: a host that stands still makes some; before, every one or second did")
+
+        os.kill(self.server.child.pid, signal.SIGSTOP)
+        before = {process: beats_in(process.text())[0] for process in before}
+        for process in before:
+            wait_until(lambda its=process: beats_in(its.text())[0] > before[its], f"{process.name} asks", 5)
 
     def test_an_idle_client_and_manager_notice_a_server_that_was_restarted(self):
         self.start_all()

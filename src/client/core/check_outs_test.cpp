@@ -596,6 +596,27 @@ TEST_F(CheckOutsTest, AnEntityThatLeavesHasTheGraceToComeBack) {
     EXPECT_EQ(core.tasks().report(task)->state, TaskState::Unknown);
 }
 
+TEST_F(CheckOutsTest, AnEntityThatWasAwayIsResumedAlsoIfNobodyToldThatItHadLeft) {
+    const auto held = take("Cyton", 1, 5s);
+    link.sent.clear();
+    EntityStatus waits{uuid(3), EntityState::REG, true, 0, kMe, held.lease, {}};
+    waits.orphaned = true;
+    auto of_an_earlier_lease = waits;
+    of_an_earlier_lease.held.number = 0;
+    core.onStatus(of_an_earlier_lease);
+    EXPECT_THAT(link.sent, IsEmpty());
+    core.onStatus(waits);
+    EXPECT_TRUE(core.leases().orphaned(held));
+    const auto asked = phase(link.take(), proto::RESUME_LEASE);
+    ASSERT_THAT(asked, SizeIs(1));
+    core.onStatus(waits);
+    EXPECT_THAT(link.sent, IsEmpty()) << "it is being asked";
+    answerResume(asked[0]);
+    EXPECT_FALSE(core.leases().orphaned(held));
+    EXPECT_THAT(observer.resumed, ElementsAre(held));
+    EXPECT_THAT(observer.lost, IsEmpty());
+}
+
 TEST_F(CheckOutsTest, TheServerIsNotExpectedToBeatFastForAnEntityThatHasLeft) {
     take("Cyton", 1, 5s);
     status(3, EntityState::BUSY, kMe, {1, 1});

@@ -188,6 +188,11 @@ void Leases::onStatus(const EntityStatus& status) {
                      (status.reason.empty() ? std::string(".") : ": " + status.reason),
                  {}},
                 true);
+        } else if (!lease->orphaned && mine && status.orphaned && status.held == lease->number &&
+                   mayOutlive(*lease) && parts_.entities.isThere(status.entity)) {
+            // That it had left was not told: of news that are lost, the last state is made up for (ADR 0016).
+            orphan(status.entity, true, label() + " was away for a moment.");
+            sendResume(status.entity);
         }
     }
     if (!mine) endReleases(status.entity, [&](LeaseNumber number) { return status.held >= number; });
@@ -315,9 +320,14 @@ Result<void> Leases::setHandOverPolicy(const Held& held, const HandOverPolicy& p
     return {};
 }
 
+/// The connection, or the entity's.
+bool Leases::mayOutlive(const Lease& lease) const {
+    return parts_.context.settings.resume && lease.grace > Duration{};
+}
+
 void Leases::onDisconnected(const Refusal& lost, bool was_connected, bool for_good) {
     for (const auto& one : held()) {
-        if (for_good || !parts_.context.settings.resume || leases_.at(one.entity).grace <= Duration{}) {
+        if (for_good || !mayOutlive(leases_.at(one.entity))) {
             end(one.entity, lost, true);
         } else if (was_connected) {
             orphan(one.entity, false, lost.message);
@@ -327,8 +337,7 @@ void Leases::onDisconnected(const Refusal& lost, bool was_connected, bool for_go
 
 void Leases::onLeft(const std::string& entity, const Refusal& why) {
     // Its Entity Manager may only have lost the server for a moment, or the server may be about to end.
-    if (const auto* mine = of(entity);
-        mine != nullptr && parts_.context.settings.resume && mine->grace > Duration{}) {
+    if (const auto* mine = of(entity); mine != nullptr && mayOutlive(*mine)) {
         orphan(entity, true, why.message);
     } else {
         end(entity, why, true);

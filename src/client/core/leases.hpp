@@ -56,9 +56,9 @@ struct Lease {
 /// What this client holds: the leases, how they are handed over, and how they outlive a lost connection. Part
 /// of SessionCore.
 ///
-/// States of a lease: held ─► orphaned (the connection is lost, or the entity has left) ─► held again, when
-/// its Entity Manager has resumed it by its key; or over, from either. One that has neither grace nor
-/// permission to be resumed is over with the connection.
+/// States of a lease: held ─► orphaned (the connection is lost, or the entity has left, or says that its
+/// Entity Manager waits for us) ─► held again, when its Entity Manager has resumed it by its key; or over,
+/// from either. One that has neither grace nor permission to be resumed is over with the connection.
 class Leases {
   public:
     explicit Leases(const CoreParts& parts) : parts_(parts) {}
@@ -119,6 +119,7 @@ class Leases {
 
   private:
     Refusal notHolder(const Held& held) const;
+    bool mayOutlive(const Lease& lease) const;
     void orphan(const std::string& entity, bool left, const std::string& reason);
     void endReleases(const std::string& entity, const std::function<bool(LeaseNumber)>& which);
 

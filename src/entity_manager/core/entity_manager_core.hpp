@@ -49,7 +49,8 @@ namespace axon::entity_manager {
 /// Where in the flow: between the entity server (ServerPort) and the robot application's Entity Interfacer
 /// (BackEndPort). An event goes in as one call of on…(); effects leave through the ports before the call
 /// returns. States: the nine of EntityState plus the latch flag; the table is state_table.hpp. Threads: one
-/// strand only. What may be called from elsewhere is StopGenerations and BackEndPort::stop. Failure: an event
+/// strand only. What may be called from elsewhere is onServerHeartbeat(), StopGenerations and
+/// BackEndPort::stop. Failure: an event
 /// that the table does not list for the present state is refused with WRONG_STATE to whoever sent it;
 /// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 ///

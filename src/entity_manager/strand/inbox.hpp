@@ -71,7 +71,7 @@ class Inbox {
     Event take();
     /// The strand will come. On the strand: where not, nothing waits. Takes no lock.
     bool scheduled() const { return scheduled_; }
-    /// The strand is to come although there is no event. Takes no lock.
+    /// The strand is to come although there is no event, as tests want it. Takes no lock.
     Verdict wake() { return scheduled_.exchange(true) ? Verdict::AlreadyScheduled : Verdict::Scheduled; }
 
     std::uint64_t droppedData() const;

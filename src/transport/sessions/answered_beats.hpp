@@ -14,8 +14,8 @@ namespace axon::transport {
 /// Threads: any; there is no lock. One for each session.
 class AnsweredBeats {
   public:
-    /// Two periods of the heartbeats while a task runs: then one is late. A server that beats more slowly,
-    /// as without a task, is asked nearly each time.
+    /// By default two periods of the heartbeats while a task runs: then one is late. A server that beats more
+    /// slowly, as without a task, is mostly asked.
     static constexpr std::chrono::milliseconds kHeardLately{100};
 
     explicit AnsweredBeats(const Clock& clock) : clock_(clock) {}

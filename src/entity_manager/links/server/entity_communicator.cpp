@@ -54,15 +54,16 @@ transport::OutboxLimits outboxLimits(Lane lane) {
     return limits;
 }
 
-/// Carries what the server pushes to the events, and nothing else. One per lane.
+/// Carries what the server pushes to the events, and tells of its heartbeats. One for each lane of a session.
 class EntityCallbackServant final : public EntityCallback {
   public:
     EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events,
-                          std::shared_ptr<ReleaseNotes> releases, const Clock& clock)
-        : beats_(clock), lane_(lane), events_(std::move(events)), releases_(std::move(releases)) {}
-
-    /// Ours, of the lane of this servant.
-    transport::AnsweredBeats& beats() { return beats_; }
+                          std::shared_ptr<ReleaseNotes> releases,
+                          std::shared_ptr<transport::AnsweredBeats> answered)
+        : lane_(lane),
+          events_(std::move(events)),
+          releases_(std::move(releases)),
+          answered_(std::move(answered)) {}
 
     void newClientMsg(wire::Header head, ByteRange msg, const Ice::Current&) override {
         if (const auto events = events_.lock())
@@ -91,7 +92,7 @@ class EntityCallbackServant final : public EntityCallback {
     void newHeartbeat(double, const Ice::Current& current) override {
         const auto events = events_.lock();
         if (!events) return;
-        beats_.heard();
+        answered_->heard();
         events->serverHeartbeat();
         if (current.ctx.empty()) return;
         if (const auto note = releases_->onPeer("an entity server", transport::releaseIn(current.ctx)))
@@ -104,10 +105,10 @@ class EntityCallbackServant final : public EntityCallback {
     }
 
   private:
-    transport::AnsweredBeats beats_;
     const Lane lane_;
     const std::weak_ptr<ServerEvents> events_;
     const std::shared_ptr<ReleaseNotes> releases_;
+    const std::shared_ptr<transport::AnsweredBeats> answered_;
 };
 
 }  // namespace
@@ -124,9 +125,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
           clock_(clock),
           events_(std::move(events)),
           retry_(strand_),
-          beat_(strand_, clock_),
-          data_servant_(makeServant(Lane::Data)),
-          signal_servant_(makeServant(Lane::Signal)) {}
+          beat_(strand_, clock_) {}
 
     void want(bool wanted) {
         if (wanted == wanted_) return;
@@ -264,6 +263,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     void login() {
         const auto attempt = ++attempt_;
+        answered_ = std::make_shared<transport::AnsweredBeats>(clock_);
         open(attempt, Lane::Data, called().text(), {}, [attempt](Connection& self, const Opened& opened) {
             self.data_connection_ = opened.connection;
             self.session_ = opened.session;
@@ -367,11 +367,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     const std::shared_ptr<Ice::Communicator>& communicator(Lane lane) const {
         return lane == Lane::Signal ? ice_->signal() : ice_->data();
     }
-    std::shared_ptr<EntityCallbackServant> makeServant(Lane lane) const {
-        return std::make_shared<EntityCallbackServant>(lane, events_, ice_->releases(), clock_);
-    }
-    const std::shared_ptr<EntityCallbackServant>& servant(Lane lane) const {
-        return lane == Lane::Signal ? signal_servant_ : data_servant_;
+    std::shared_ptr<EntityCallbackServant> servant(Lane lane) const {
+        return std::make_shared<EntityCallbackServant>(lane, events_, ice_->releases(), answered_);
     }
     const std::shared_ptr<Ice::ObjectAdapter>& adapter(Lane lane) const {
         return lane == Lane::Signal ? ice_->signalAdapter() : ice_->dataAdapter();
@@ -431,7 +428,6 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         signal_outbox_ = makeOutbox(Lane::Signal, signal_session_, signal_connection_);
         up_ = true;
         busy_ = false;
-        signal_servant_->beats().answered();  // what an earlier session asked gets no answer any more
         if (const auto events = events_.lock()) events->serverUp();
         keepAlive();
     }
@@ -446,19 +442,13 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void keepAlive() {
         if (!up_) return;
         const auto beat = static_cast<double>(++beats_);
-        if (address_.router.empty() || !signal_servant_->beats().ask()) {
+        if (address_.router.empty() || !answered_->ask()) {
             signal_outbox_->send(Traffic::Heartbeat, 0,
                                  forward<EntitySessionPrx>(&EntitySessionPrx::keepAliveAsync, beat));
         } else {
             guarded([&] {
                 signal_session_->keepAliveAsync(
-                    beat,
-                    [weak = weak_from_this(), attempt = attempt_] {
-                        if (const auto self = weak.lock())
-                            self->post([attempt](Connection& me) {
-                                if (attempt == me.attempt_) me.signal_servant_->beats().answered();
-                            });
-                    },
+                    beat, [answered = answered_] { answered->answered(); },
                     failure(attempt_, "sign of life"));
             });
         }
@@ -568,10 +558,10 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     // Confined to the strand.
     asio::steady_timer retry_;
     DueTimer beat_;
-    const std::shared_ptr<EntityCallbackServant> data_servant_, signal_servant_;
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_;
+    std::shared_ptr<transport::AnsweredBeats> answered_;             // of the attempt, and so of its session
     std::unique_ptr<const LaneOutbox> data_outbox_, signal_outbox_;  // while it is up
     Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;

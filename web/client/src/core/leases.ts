@@ -172,6 +172,10 @@ export class Leases {
                 this.end(entity, new Refusal("REVOKED_LEASE", `${label} was given to ${holder.name}.`, holder.name), true);
             } else if (!lease.orphaned && holder.id === "" && availabilityOf(state) === "away") {
                 this.end(entity, new Refusal("UNAVAILABLE", `${label} is ${state}${reason === "" ? "." : `: ${reason}`}`), true);
+            } else if (!lease.orphaned && mine && status.orphaned && sameLease(held, lease.number) && this.mayOutlive(lease) && this.parts.entities.isThere(entity)) {
+                // That it had left was not told: of news that are lost, the last state is made up for (ADR 0016).
+                this.orphan(entity, true, `${label} was away for a moment.`);
+                this.sendResume(entity);
             }
         }
         if (!mine) this.endReleases(entity, (number) => notOlder(held, number));
@@ -254,15 +258,19 @@ export class Leases {
 
     disconnected(lost: Refusal, wasConnected: boolean, forGood: boolean): void {
         for (const { entity } of this.held()) {
-            const graceMs = this.leases.get(entity)?.graceMs ?? 0;
-            if (forGood || !this.parts.context.settings.resume || graceMs <= 0) this.end(entity, lost, true);
+            const mine = this.leases.get(entity);
+            if (forGood || mine === undefined || !this.mayOutlive(mine)) this.end(entity, lost, true);
             else if (wasConnected) this.orphan(entity, false, lost.message);
         }
+    }
+    /** The connection, or the entity's. */
+    private mayOutlive(lease: Lease): boolean {
+        return this.parts.context.settings.resume && lease.graceMs > 0;
     }
     onLeft(entity: string, why: Refusal): void {
         // Its Entity Manager may only have lost the server for a moment, or the server may be about to end.
         const mine = this.leases.get(entity);
-        if (mine !== undefined && this.parts.context.settings.resume && mine.graceMs > 0) this.orphan(entity, true, why.message);
+        if (mine !== undefined && this.mayOutlive(mine)) this.orphan(entity, true, why.message);
         else this.end(entity, why, true);
     }
     private orphan(entity: string, left: boolean, reason: string): void {

@@ -380,6 +380,18 @@ test("An entity that leaves its server has the grace to come back by another one
     assert.deepEqual([heard.at(-1), client.connection().kind], ["lost UNAVAILABLE", "connected"]);
 });
 
+test("An entity that was away is resumed, also if nobody told that it had left", async () => {
+    const { server, robot } = await held();
+    const heard: string[] = [];
+    robot.onOrphaned(() => heard.push("orphaned"));
+    robot.onResumed(() => heard.push("resumed"));
+    robot.onLost(({ code }) => heard.push(`lost ${code}`));
+    server.take();
+    server.status(ROBOT, { state: "REG", latched: true, orphaned: true, holder: ME, held: { epoch: 1, number: 1 } });
+    server.grant(ROBOT);
+    assert.deepEqual([heard, robot.orphaned], [["orphaned", "resumed"], false]);
+});
+
 test("A task that nobody knows of after a lost connection is UNKNOWN, and a late sign of it is cancelled", async () => {
     const { clock, server, robot } = await held();
     const task = robot.run("Drive", [{ name: "Distance", values: [1] }]);
