@@ -375,15 +375,17 @@ class Run:
         record = server.record(victim)
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
         begin = time.monotonic()
+        harmed = begin
         if kind.harm == "partition":
-            server.machine(victim).pull_cable()  # within some milliseconds, by a command
+            server.machine(victim).pull_cable()
+            harmed = time.monotonic()  # a command did it, for which this host may have had no time at first
         elif kind.harm == "freeze":
             processes.strike(record, signal.SIGSTOP, 0)
         else:
             processes.strike(record, signal.SIGKILL, 5.0)
         not_needed = kind.victim in (REGISTRY, REPLICA)  # everything can be used without it
         try:
-            spared |= self.judge_stops(victim, begin, must, report)
+            spared |= self.judge_stops(victim, begin, harmed, must, report)
             if kind.harm == "kill":
                 back = time.monotonic()
                 server.start_again(victim)
@@ -422,35 +424,37 @@ class Run:
             else:
                 report.violation(f"{robot.name} stopped ({stop[1]}) {(stop[0] - begin) * 1000:.0f} ms after {victim} was harmed, which had nothing to do with it")
 
-    def judge_stops(self, victim, begin, must, report):
-        """Returns the names of those that have not stopped and whose client still reaches them."""
+    def judge_stops(self, victim, begin, harmed, must, report):
+        """Returns the names of those that have not stopped and whose client still reaches them. It was harmed between `begin` and `harmed`."""
         def wait_for(names, until):
             while not all(robot.first_stop(begin) for robot in self.robots if robot.name in names) and time.monotonic() < until:
                 time.sleep(0.002)
-        wait_for(self.names, begin + STOP_MS / 1000 + READ_S)
-        wait_for(must, begin + STOP_MS / 1000 + PATIENCE_S)
+        wait_for(self.names, harmed + STOP_MS / 1000 + READ_S)
+        wait_for(must, harmed + STOP_MS / 1000 + PATIENCE_S)
         going = [robot for robot in self.robots if robot.name not in must and not robot.first_stop(begin)]
         drills = dict(zip((robot.name for robot in going), self.for_each(going, lambda robot: robot.client.does("drill", robot.name))))
         wait_for({name for name, refused in drills.items() if refused}, time.monotonic() + READ_S)  # they may have stopped in time
+        spared = set()
         for robot in self.robots:
             stop, refused = robot.first_stop(begin), drills.get(robot.name)
-            if refused == "":
-                report.kept += 1
-            elif stop:
-                ms = (stop[0] - begin) * 1000
+            if stop:
+                ms = max(0.0, stop[0] - harmed) * 1000
                 report.stops_ms.append(ms)
                 report.causes[stop[1]] = report.causes.get(stop[1], 0) + 1
                 if ms > STOP_MS:
                     report.late += 1
-                    if ms - self.probe.overlap_ms(begin, stop[0]) <= STOP_MS:
+                    if ms - self.probe.overlap_ms(harmed, stop[0]) <= STOP_MS:
                         report.late_beside_stall += 1
                     else:
                         report.violation(f"{robot.name} stopped {ms:.0f} ms after {victim} was harmed")
+            elif refused == "":
+                report.kept += 1
+                spared.add(robot.name)
             else:
                 report.never += 1
                 why = f"did not stop after {victim} was harmed" if refused is None else f"went on without a chain after {victim} was harmed: {refused}"
                 report.violation(f"{robot.name} {why}")
-        return {name for name, refused in drills.items() if not refused}
+        return spared
 
     def judge_recovery(self, victim, since, how, without, report):
         """`since`: when the time begins in which everything must be usable; `without`: the programs that are not there."""

@@ -527,8 +527,8 @@ class Robot:
     """An entity that this client holds. Its streams are attributes: `robot.scan`.
 
     Leaving `with` releases it. When the lease has ended, every call is refused with NOT_HOLDER; on_lost has given the reason.
-    While the connection is lost, calls are refused with NOT_CONNECTED and the robot stands still; the lease waits for
-    this client to come back (`orphaned`).
+    While the connection is lost, the robot has left, or the servers had lost this client for a moment, calls are refused
+    with NOT_CONNECTED and the robot stands still; the lease waits for this client to come back (`orphaned`).
     """
 
     def __init__(self, lab: Lab, native: _native.CheckOut, told: Told) -> None:

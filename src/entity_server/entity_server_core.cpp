@@ -204,7 +204,8 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
     status.server = settings_.name;
     for (auto* text : {&status.holder.id, &status.holder.name, &status.reason}) makeValid(*text);
     bool became_busy = false;
-    bool late = false;  // granted to a client whose server was gone before the grant was known here
+    bool late =
+        false;  // granted, or given back, to a client whose server was gone before that was known here
     std::int64_t heartbeat = 0;
     std::string line;
     EntityStatus given;
@@ -219,8 +220,8 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         line = session->holder_log.line(*session->name.load(), before, status, now);
         if (before.holder.id != status.holder.id)
             session->holder.store(std::make_shared<const std::string>(status.holder.id));
-        late =
-            before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
+        const bool granted = !status.orphaned && (before.orphaned || before.holder.id != status.holder.id);
+        late = granted && !front_ends_.serves(status.holder.id);
         if (late) given = status;
         countBusy(before, status, now);
         became_busy = busy && !session->liveness.busy();

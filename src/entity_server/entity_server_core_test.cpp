@@ -993,6 +993,22 @@ TEST_F(OneOfSeveral, AGrantToAClientOfAServerThatIsGoneIsTakenBackAtOnce) {
     EXPECT_EQ(peer.signal->lines.size(), 2U) << "it knows already";
 }
 
+TEST_F(OneOfSeveral, ALeaseThatIsResumedByAClientOfAServerThatIsGoneIsTakenBackEachTime) {
+    const auto peer = join(kFirst);
+    announce(Lane::Signal, "fe1");
+    status(peer, EntityState::REG, "fe1:one:c1");
+    pass(5s);
+    ASSERT_THAT(peer.signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
+    EntityStatus its;
+    its.holder = {"fe1:one:c1", "c1", Role::Operator};
+    its.orphaned = true;
+    core.sendStatus(peer.session, its);
+    EXPECT_EQ(peer.signal->lines.size(), 2U) << "it knows already";
+    its.orphaned = false;
+    core.sendStatus(peer.session, its);
+    EXPECT_EQ(peer.signal->lines.size(), 4U) << "that server's loss is not noticed a second time";
+}
+
 TEST_F(OneOfSeveral, AnswersAStatusOfItsNameWithEverythingAndTheListAtTheEnd) {
     status(join(kFirst), EntityState::IDLE);
     status(join(kSecond, "Other"), EntityState::ERR);

@@ -2,10 +2,10 @@
 // What glacier2router calls: Ice.Plugin.AxonRouterGuard=FOLDER/axonrouterguard:createAxonRouterGuard
 #include "router_guard/router_guard.hpp"
 
+#include <fcntl.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
-#include <fcntl.h>
 #include <cerrno>
 #include <chrono>
 #include <cstring>

@@ -126,8 +126,9 @@ class Run {
 ///
 /// States:
 ///   held      the client may use the entity.
-///   orphaned  the connection was lost, or the entity has left. The robot stands still and is latched. Calls
-///             are refused with NOT_CONNECTED. The lease waits for this client to come back.
+///   orphaned  the connection was lost, the entity has left, or the servers or its Entity Manager had lost
+///             this client for a moment. The robot stands still and is latched. Calls are refused with
+///             NOT_CONNECTED. The lease waits for this client to come back.
 ///   gone      the lease has ended.
 /// An orphaned lease becomes held again (onResumed; it is the same lease) or gone (onLost).
 class CheckOut {
@@ -163,10 +164,9 @@ class CheckOut {
     void onRaw(std::function<void(const std::string&)> callback) const;
     void onServiceChanged(std::function<void(const Service&)> callback) const;
     void onLost(std::function<void(const Refusal&)> callback) const;
-    /// Called with the reason when the connection is lost or the entity has left. onResumed or onLost
-    /// follows.
+    /// Called with the reason when the lease is orphaned. onResumed or onLost follows.
     void onOrphaned(std::function<void(const std::string& reason)> callback) const;
-    /// Called when the lease is valid again after a lost connection. The library has then asked about the
+    /// Called when the lease is valid again. The library has then asked about the
     /// tasks: a task that ended meanwhile is reported as it ended, or as Unknown if nobody knows how.
     void onResumed(std::function<void()> callback) const;
     bool orphaned() const;

@@ -604,17 +604,39 @@ TEST_F(CheckOutsTest, AnEntityThatWasAwayIsResumedAlsoIfNobodyToldThatItHadLeft)
     auto of_an_earlier_lease = waits;
     of_an_earlier_lease.held.number = 0;
     core.onStatus(of_an_earlier_lease);
-    EXPECT_THAT(link.sent, IsEmpty());
+    EXPECT_EQ(core.nextDeadline(), TimePoint::max());
     core.onStatus(waits);
+    advance(900ms);
+    core.onStatus(waits);
+    EXPECT_THAT(link.sent, IsEmpty()) << "the news of it may follow";
+    advance(100ms);
     EXPECT_TRUE(core.leases().orphaned(held));
-    const auto asked = phase(link.take(), proto::RESUME_LEASE);
+    auto asked = phase(link.take(), proto::RESUME_LEASE);
     ASSERT_THAT(asked, SizeIs(1));
     core.onStatus(waits);
     EXPECT_THAT(link.sent, IsEmpty()) << "it is being asked";
+    core.onRefusal(asked[0].head, {RefusalCode::UnknownEntity, "it is on its way", {}});
+    advance(500ms);
+    asked = phase(link.take(), proto::RESUME_LEASE);
+    ASSERT_THAT(asked, SizeIs(1)) << "nothing will tell that it joins";
     answerResume(asked[0]);
     EXPECT_FALSE(core.leases().orphaned(held));
     EXPECT_THAT(observer.resumed, ElementsAre(held));
     EXPECT_THAT(observer.lost, IsEmpty());
+}
+
+TEST_F(CheckOutsTest, AnEntityThatWaitedForUsForAMomentOnlyWasNotLost) {
+    const auto held = take("Cyton", 1, 5s);
+    link.sent.clear();
+    EntityStatus its{uuid(3), EntityState::REG, true, 0, kMe, held.lease, {}};
+    its.orphaned = true;
+    core.onStatus(its);
+    its.orphaned = false;
+    core.onStatus(its);
+    advance(5s);
+    EXPECT_FALSE(core.leases().orphaned(held));
+    EXPECT_THAT(link.sent, IsEmpty());
+    EXPECT_EQ(core.nextDeadline(), TimePoint::max());
 }
 
 TEST_F(CheckOutsTest, TheServerIsNotExpectedToBeatFastForAnEntityThatHasLeft) {

@@ -18,6 +18,9 @@
 namespace axon::client {
 namespace {
 
+constexpr std::chrono::seconds kLossTold{1};  // the news of a loss come before the robot has waited so long
+constexpr std::chrono::milliseconds kResumeAgain{500};
+
 bool leaseIsGone(RefusalCode code) {
     return code == RefusalCode::NotHolder || code == RefusalCode::OlderLease ||
            code == RefusalCode::RevokedLease || code == RefusalCode::WrongEpoch;
@@ -188,14 +191,48 @@ void Leases::onStatus(const EntityStatus& status) {
                      (status.reason.empty() ? std::string(".") : ": " + status.reason),
                  {}},
                 true);
-        } else if (!lease->orphaned && mine && status.orphaned && status.held == lease->number &&
-                   mayOutlive(*lease) && parts_.entities.isThere(status.entity)) {
-            // That it had left was not told: of news that are lost, the last state is made up for (ADR 0016).
-            orphan(status.entity, true, label() + " was away for a moment.");
-            sendResume(status.entity);
+        } else {
+            const bool waits = !lease->orphaned && mine && status.orphaned && status.held == lease->number;
+            expectLoss(leases_.at(status.entity), waits);
         }
     }
     if (!mine) endReleases(status.entity, [&](LeaseNumber number) { return status.held >= number; });
+}
+
+/// Its Entity Manager waits for us, and we know of no loss. Usually the news of it follow, or that it is over
+/// (another has taken it, it is ours again); of news that are lost, only the last state is made up for (ADR
+/// 0016).
+void Leases::expectLoss(Lease& lease, bool waits) {
+    if (!waits) {
+        lease.loss_due = TimePoint::max();
+    } else if (lease.loss_due == TimePoint::max()) {
+        lease.loss_due = parts_.context.clock.now() + kLossTold;
+        loss_due_ = std::min(loss_due_, lease.loss_due);
+    }
+}
+
+void Leases::onTimer() {
+    const auto now = parts_.context.clock.now();
+    if (now < loss_due_) return;
+    loss_due_ = TimePoint::max();
+    std::vector<std::string> lost;
+    for (const auto& [entity, lease] : leases_) {
+        if (lease.loss_due <= now) {
+            lost.push_back(entity);
+        } else {
+            loss_due_ = std::min(loss_due_, lease.loss_due);
+        }
+    }
+    for (const auto& entity : lost) {
+        auto& lease = leases_.at(entity);
+        lease.loss_due = TimePoint::max();
+        if (lease.orphaned) continue;
+        onLeft(entity, {RefusalCode::ClientLost,
+                        "The servers or the Entity Manager of " + lease.name +
+                            " had lost this client for a moment, and the robot was stopped.",
+                        {}});
+        if (parts_.entities.isThere(entity)) sendResume(entity);
+    }
 }
 
 void Leases::onRefusal(const std::string& entity, LeaseNumber under, const Refusal& refusal) {
@@ -409,7 +446,7 @@ void Leases::onResumeDue(Id128 request) {
         return;
     }
     const Refusal why =
-        mine.left && parts_.context.connected
+        mine.left && parts_.context.connected && !parts_.entities.isThere(entity)
             ? Refusal{RefusalCode::Unavailable,
                       mine.name + " has left: its Entity Manager is no longer connected to the server.",
                       {}}
@@ -422,7 +459,9 @@ void Leases::onResumeDue(Id128 request) {
 }
 
 void Leases::onResumeRefused(Id128 request, const std::string& entity) {
-    parts_.requests.postpone(Requests::keyOf<request::ResumeLease>(request), leases_.at(entity).expires);
+    // It is asked when it joins; where it is there already, also without.
+    parts_.requests.postpone(Requests::keyOf<request::ResumeLease>(request),
+                             std::min(leases_.at(entity).expires, parts_.context.clock.now() + kResumeAgain));
 }
 
 bool Leases::onResumeReply(const std::string& entity, Id128 request, const proto::CheckOutReply& reply) {

@@ -48,9 +48,10 @@ struct Lease {
     std::optional<HandOverRequest> question;
     TimePoint answer_until{};  ///< of `question`
     bool orphaned = false;
-    bool left = false;  ///< orphaned because the entity is gone, not the connection
+    bool left = false;  ///< orphaned because the entity has left or waits for us, not by the connection
     TimePoint expires;  ///< while orphaned
-    Id128 resume;       ///< of the request that is to resume it, while orphaned
+    TimePoint loss_due = TimePoint::max();  ///< when a loss that nobody has told of counts
+    Id128 resume;                           ///< of the request that is to resume it, while orphaned
 };
 
 /// What this client holds: the leases, how they are handed over, and how they outlive a lost connection. Part
@@ -113,6 +114,9 @@ class Leases {
     /// is Unknown. The entity by value: callers name it by the key that goes away.
     void end(std::string entity, const Refusal& why, bool tell);
     void sendRelease(const Held& held);
+    /// A lease whose Entity Manager has waited for us for a second is lost, and resumed.
+    void onTimer();
+    TimePoint nextDeadline() const { return loss_due_; }
     /// Where the lease of this entity is orphaned.
     void sendResume(const std::string& entity);
     void sendResumes();
@@ -120,12 +124,14 @@ class Leases {
   private:
     Refusal notHolder(const Held& held) const;
     bool mayOutlive(const Lease& lease) const;
+    void expectLoss(Lease& lease, bool waits);
     void orphan(const std::string& entity, bool left, const std::string& reason);
     void endReleases(const std::string& entity, const std::function<bool(LeaseNumber)>& which);
 
     const CoreParts& parts_;
     std::map<std::string, Lease> leases_;  // by entity
     std::string root_;
+    TimePoint loss_due_ = TimePoint::max();  // the first of all leases
 };
 
 }  // namespace axon::client

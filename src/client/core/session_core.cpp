@@ -267,13 +267,14 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
 
 TimePoint SessionCore::nextDeadline() const {
     if (AXON_PLANTED(RequestsWaitForEver)) return TimePoint::max();
-    return std::min(requests_.nextDeadline(), check_outs_.nextDeadline());
+    return std::min({requests_.nextDeadline(), check_outs_.nextDeadline(), leases_.nextDeadline()});
 }
 
 void SessionCore::onTimer() {
     const auto now = context_.clock.now();
     while (const auto key = requests_.due(now)) onRequestDue(*key);
     check_outs_.onTimer();
+    leases_.onTimer();
 }
 
 void SessionCore::onRequestDue(Requests::Key key) {

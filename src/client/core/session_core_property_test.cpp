@@ -152,10 +152,20 @@ class Chaos : public CoreWorld {
                     connect();
                 }
                 break;
-            case 2:
-                status(number, static_cast<EntityState>(roll(9)), roll(2) == 0 ? kMe : Sender{},
-                       {1, static_cast<std::int32_t>(roll(40))});
+            case 2: {
+                EntityStatus its{uuid(number),
+                                 static_cast<EntityState>(roll(9)),
+                                 false,
+                                 0,
+                                 roll(2) == 0 ? kMe : Sender{},
+                                 {1, static_cast<std::int32_t>(roll(40))},
+                                 {}};
+                if (const auto* lease = core.leases().of(its.entity); lease != nullptr && roll(2) == 0)
+                    its.held = lease->number;
+                its.orphaned = roll(3) == 0;
+                core.onStatus(its);
                 break;
+            }
             case 3: {
                 proto::ToClient ended;
                 ended.mutable_lease_ended()->mutable_lease()->set_epoch(1);

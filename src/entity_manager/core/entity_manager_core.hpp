@@ -50,9 +50,9 @@ namespace axon::entity_manager {
 /// (BackEndPort). An event goes in as one call of on…(); effects leave through the ports before the call
 /// returns. States: the nine of EntityState plus the latch flag; the table is state_table.hpp. Threads: one
 /// strand only. What may be called from elsewhere is onServerHeartbeat(), StopGenerations and
-/// BackEndPort::stop. Failure: an event
-/// that the table does not list for the present state is refused with WRONG_STATE to whoever sent it;
-/// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
+/// BackEndPort::stop. Failure: an event that the table does not list for the present state is refused with
+/// WRONG_STATE to whoever sent it; malformed bytes are refused with MALFORMED. Nothing that arrives from
+/// outside can make it throw.
 ///
 /// It finds the row of each event in the state table and passes each action on to whichever part of the state
 /// it is about (actions.def), as it does with what the robot application says (reports.def). The parts see

@@ -201,8 +201,8 @@ function stopAll(session: Session, names: readonly string[] | undefined, options
  * An entity that this client holds. All CheckOuts of one lease are the same to the library.
  *
  * held      the client may use the entity.
- * orphaned  the connection was lost, or the entity has left. The robot stands still and is latched. Calls are refused with
- *           NOT_CONNECTED. It becomes held again (onResumed; the same lease) or gone (onLost).
+ * orphaned  the connection was lost, the entity has left, or the servers or its Entity Manager had lost this client for a
+ *           moment. The robot stands still and is latched. Calls are refused with NOT_CONNECTED. It becomes held again (onResumed; the same lease) or gone (onLost).
  * gone      the lease has ended. Every call is refused with NOT_HOLDER.
  */
 export class CheckOut {

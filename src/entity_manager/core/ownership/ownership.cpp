@@ -284,6 +284,7 @@ void Ownership::resume(const Incident& incident) {
         if (before.holder.id == sender.id) {  // it has it already
             lease_.resume(sender, claim.request_id);
             sendGrant(proto::RESUME_LEASE);
+            if (hand_over_.open()) tellQuestion(*hand_over_.open(), false);
             return;
         }
         if (settings_.grace == Duration::zero()) {

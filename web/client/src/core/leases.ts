@@ -12,6 +12,9 @@ import { outlivesLease } from "./requests.js";
 
 /** Services of one entity; the Entity Manager admits fewer. */
 const SERVICES_MAX = 4096;
+/** The news of a loss come before the robot has waited so long. */
+const LOSS_TOLD_MS = 1000;
+const RESUME_AGAIN_MS = 500;
 
 const goneBy = (code: RefusalCode): boolean => code === "NOT_HOLDER" || code === "OLDER_LEASE" || code === "REVOKED_LEASE" || code === "WRONG_EPOCH";
 
@@ -46,9 +49,11 @@ export interface Lease {
     readonly resourceBytesMax: number;
     policy: HandOverPolicy;
     orphaned: boolean;
-    /** Orphaned because the entity has left, while this client has its connection. */
+    /** Orphaned because the entity has left or waits for us, while this client has its connection. */
     left: boolean;
     expires: number;
+    /** When a loss that nobody has told of counts. */
+    lossDue: number;
     /** Of the request that resumes it. */
     resume: Id;
     question: HandOverRequest | undefined;
@@ -128,6 +133,7 @@ export class Leases {
             resourceBytesMax: safeNumber(reply.resourceBytesMax),
             policy,
             orphaned: false,
+            lossDue: Infinity,
             left: false,
             expires: Infinity,
             resume: "",
@@ -172,13 +178,35 @@ export class Leases {
                 this.end(entity, new Refusal("REVOKED_LEASE", `${label} was given to ${holder.name}.`, holder.name), true);
             } else if (!lease.orphaned && holder.id === "" && availabilityOf(state) === "away") {
                 this.end(entity, new Refusal("UNAVAILABLE", `${label} is ${state}${reason === "" ? "." : `: ${reason}`}`), true);
-            } else if (!lease.orphaned && mine && status.orphaned && sameLease(held, lease.number) && this.mayOutlive(lease) && this.parts.entities.isThere(entity)) {
-                // That it had left was not told: of news that are lost, the last state is made up for (ADR 0016).
-                this.orphan(entity, true, `${label} was away for a moment.`);
-                this.sendResume(entity);
+            } else {
+                this.expectLoss(lease, !lease.orphaned && mine && status.orphaned && sameLease(held, lease.number));
             }
         }
         if (!mine) this.endReleases(entity, (number) => notOlder(held, number));
+    }
+    /**
+     * Its Entity Manager waits for us, and we know of no loss. Usually the news of it follow, or that it is over (another has taken it, it is
+     * ours again); of news that are lost, only the last state is made up for (ADR 0016).
+     */
+    private expectLoss(lease: Lease, waits: boolean): void {
+        if (!waits) lease.lossDue = Infinity;
+        else if (lease.lossDue === Infinity) lease.lossDue = this.parts.context.now() + LOSS_TOLD_MS;
+    }
+    nextDeadline(): number {
+        let next = Infinity;
+        for (const { lossDue } of this.leases.values()) next = Math.min(next, lossDue);
+        return next;
+    }
+    /** A lease whose Entity Manager has waited for us for a second is lost, and resumed. */
+    onTimer(): void {
+        const now = this.parts.context.now();
+        for (const [entity, lease] of [...this.leases]) {
+            if (lease.lossDue > now) continue;
+            lease.lossDue = Infinity;
+            if (lease.orphaned) continue;
+            this.onLeft(entity, new Refusal("CLIENT_LOST", `The servers or the Entity Manager of ${lease.name} had lost this client for a moment, and the robot was stopped.`));
+            if (this.parts.entities.isThere(entity)) this.sendResume(entity);
+        }
     }
     /** Something was refused that was asked under a lease: the lease may be gone. */
     onRefusal(entity: string, under: LeaseNumber, refusal: Refusal): void {
@@ -320,7 +348,7 @@ export class Leases {
             return;
         }
         const why =
-            mine.left && connected
+            mine.left && connected && !this.parts.entities.isThere(pending.entity)
                 ? new Refusal("UNAVAILABLE", `${mine.name} has left: its Entity Manager is no longer connected to the server.`)
                 : connected
                   ? new Refusal("EXPIRED", `${mine.name} could not be resumed within its grace.`)
@@ -332,7 +360,8 @@ export class Leases {
     onResumeRefused(request: Id): void {
         const pending = this.parts.requests.find("resumeLease", request);
         const mine = pending === undefined ? undefined : this.leases.get(pending.entity);
-        if (pending !== undefined && mine !== undefined) pending.deadline = mine.expires;
+        // It is asked when it joins; where it is there already, also without.
+        if (pending !== undefined && mine !== undefined) pending.deadline = Math.min(mine.expires, this.parts.context.now() + RESUME_AGAIN_MS);
     }
     /** Whether the reply was to a request to resume. */
     onResumeReply(entity: string, reply: proto.CheckOutReply): boolean {

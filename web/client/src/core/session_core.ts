@@ -179,12 +179,13 @@ export class SessionCore implements Parts {
     }
 
     nextDeadline(): number {
-        return Math.min(this.requests.nextDeadline(), this.checkOuts.nextDeadline());
+        return Math.min(this.requests.nextDeadline(), this.checkOuts.nextDeadline(), this.leases.nextDeadline());
     }
     onTimer(): void {
         const now = this.context.now();
         for (let one = this.requests.due(now); one !== undefined; one = this.requests.due(now)) this.onDue(one);
         this.checkOuts.onTimer();
+        this.leases.onTimer();
     }
     private onDue({ what, id }: Pending): void {
         const late = new Refusal("TIMED_OUT", `No answer within ${this.context.settings.timeoutMs / 1000} s.`);

@@ -381,13 +381,22 @@ test("An entity that leaves its server has the grace to come back by another one
 });
 
 test("An entity that was away is resumed, also if nobody told that it had left", async () => {
-    const { server, robot } = await held();
+    const { clock, server, robot } = await held();
     const heard: string[] = [];
     robot.onOrphaned(() => heard.push("orphaned"));
     robot.onResumed(() => heard.push("resumed"));
     robot.onLost(({ code }) => heard.push(`lost ${code}`));
+    const waits = (orphaned: boolean): void => server.status(ROBOT, { state: "REG", latched: true, orphaned, holder: ME, held: { epoch: 1, number: 1 } });
     server.take();
-    server.status(ROBOT, { state: "REG", latched: true, orphaned: true, holder: ME, held: { epoch: 1, number: 1 } });
+    waits(true);
+    waits(false);
+    await clock.advance(1500);
+    assert.deepEqual([heard, robot.orphaned], [[], false], "for a moment only");
+    waits(true);
+    await clock.advance(999);
+    assert.deepEqual(heard, [], "the news of it may follow");
+    await clock.advance(1);
+    assert.deepEqual(heard, ["orphaned"]);
     server.grant(ROBOT);
     assert.deepEqual([heard, robot.orphaned], [["orphaned", "resumed"], false]);
 });
