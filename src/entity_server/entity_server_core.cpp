@@ -204,8 +204,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
     status.server = settings_.name;
     for (auto* text : {&status.holder.id, &status.holder.name, &status.reason}) makeValid(*text);
     bool became_busy = false;
-    bool late =
-        false;  // granted, or given back, to a client whose server was gone before that was known here
+    bool late = false;  // given to a client whose server is gone, which its Entity Manager did not know
     std::int64_t heartbeat = 0;
     std::string line;
     EntityStatus given;

@@ -182,10 +182,11 @@ class EntityServerTest : public testing::Test {
         EXPECT_TRUE(core.sendBasicPrfl(peer.session, registration(uuid, name), "profile").ok());
         return peer;
     }
-    void status(const Peer& peer, EntityState state, const std::string& holder = {}) {
+    void status(const Peer& peer, EntityState state, const std::string& holder = {}, bool orphaned = false) {
         EntityStatus out;
         out.state = state;
         out.holder = {holder, holder, Role::Operator};
+        out.orphaned = orphaned;
         core.sendStatus(peer.session, out);
     }
     /// Lets time pass in small steps, as the timer thread does.
@@ -990,10 +991,7 @@ TEST_F(OneOfSeveral, AGrantToAClientOfAServerThatIsGoneIsTakenBackAtOnce) {
     pass(5s);
     status(peer, EntityState::REG, "fe1:one:c1");
     EXPECT_THAT(peer.signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
-    EntityStatus orphaned;
-    orphaned.holder = {"fe1:one:c9", "c9", Role::Operator};
-    orphaned.orphaned = true;
-    core.sendStatus(peer.session, orphaned);
+    status(peer, EntityState::REG, "fe1:one:c9", true);
     EXPECT_EQ(peer.signal->lines.size(), 2U) << "it knows already";
 }
 
@@ -1003,13 +1001,9 @@ TEST_F(OneOfSeveral, ALeaseThatIsResumedByAClientOfAServerThatIsGoneIsTakenBackE
     status(peer, EntityState::REG, "fe1:one:c1");
     pass(5s);
     ASSERT_THAT(peer.signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
-    EntityStatus its;
-    its.holder = {"fe1:one:c1", "c1", Role::Operator};
-    its.orphaned = true;
-    core.sendStatus(peer.session, its);
+    status(peer, EntityState::REG, "fe1:one:c1", true);
     EXPECT_EQ(peer.signal->lines.size(), 2U) << "it knows already";
-    its.orphaned = false;
-    core.sendStatus(peer.session, its);
+    status(peer, EntityState::REG, "fe1:one:c1");
     EXPECT_EQ(peer.signal->lines.size(), 4U) << "that server's loss is not noticed a second time";
 }
 

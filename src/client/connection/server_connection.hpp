@@ -48,6 +48,7 @@ struct Login {
 /// handshake is a refusal and leaves nothing behind.
 class ServerConnection final : public DataLane, public StopLanes {
   public:
+    /// `clock` outlives `events`.
     static Result<std::shared_ptr<const ServerConnection>> open(
         const LaneHome& data, const LaneHome& signal, const Login& login,
         const std::shared_ptr<ConnectionEvents>& events, const Clock& clock);

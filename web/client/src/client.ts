@@ -202,7 +202,8 @@ function stopAll(session: Session, names: readonly string[] | undefined, options
  *
  * held      the client may use the entity.
  * orphaned  the connection was lost, the entity has left, or the servers or its Entity Manager had lost this client for a
- *           moment. The robot stands still and is latched. Calls are refused with NOT_CONNECTED. It becomes held again (onResumed; the same lease) or gone (onLost).
+ *           moment. The robot stands still and is latched. Calls are refused with NOT_CONNECTED. It becomes held again
+ *           (onResumed; the same lease) or gone (onLost).
  * gone      the lease has ended. Every call is refused with NOT_HOLDER.
  */
 export class CheckOut {
