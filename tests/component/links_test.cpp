@@ -4,15 +4,18 @@
 #include <IceStorm/IceStorm.h>
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
+#include <gnutls/gnutls.h>
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <array>
 #include <atomic>
 #include <cerrno>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -125,13 +128,22 @@ class Links : public testing::Test {
             folder / "icebox.log");
         EXPECT_TRUE(waitUntil([] { return listens(10430); }, 10s)) << storm->text();
     }
-    static int connectedTo(int port) {
-        const int its = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    static sockaddr_in ownAddress(int port) {
         sockaddr_in at{};
         at.sin_family = AF_INET;
         at.sin_port = htons(static_cast<std::uint16_t>(port));
         inet_pton(AF_INET, loopbackAddress().c_str(), &at.sin_addr);
-        if (::connect(its, reinterpret_cast<const sockaddr*>(&at), sizeof at) == 0) return its;
+        return at;
+    }
+    /// `from`: the port of this end, which several connections may have; 0: any that is free.
+    static int connectedTo(int port, int from = 0) {
+        const int its = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+        const auto to = ownAddress(port), here = ownAddress(from);
+        const int yes = 1;
+        if ((from == 0 || (::setsockopt(its, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes) == 0 &&
+                           ::bind(its, reinterpret_cast<const sockaddr*>(&here), sizeof here) == 0)) &&
+            ::connect(its, reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0)
+            return its;
         ::close(its);
         return -1;
     }
@@ -813,10 +825,84 @@ class FloodOfLinks : public Links {
     rlimit before_{};
 };
 
+/// A server's TLS over a socket, as far as what Ice says first.
+class Handshake {
+  public:
+    /// `configuration`: of `axon certs issue`; the certificate and its key lie beside it.
+    Handshake(int socket, const fs::path& configuration) : socket_(socket) {
+        const auto of = [&](const char* end) {
+            return fs::path(configuration).replace_extension(end).string();
+        };
+        gnutls_certificate_allocate_credentials(&credentials_);
+        const int loaded = gnutls_certificate_set_x509_key_file(credentials_, of("cert.pem").c_str(),
+                                                                of("key.pem").c_str(), GNUTLS_X509_FMT_PEM);
+        EXPECT_GE(loaded, 0) << gnutls_strerror(loaded);
+        gnutls_init(&session_, GNUTLS_CLIENT);
+        gnutls_set_default_priority(session_);
+        gnutls_credentials_set(session_, GNUTLS_CRD_CERTIFICATE, credentials_);
+        gnutls_transport_set_int(session_, socket);
+        gnutls_handshake_set_timeout(session_, 5000);
+    }
+    Handshake(const Handshake&) = delete;
+    Handshake& operator=(const Handshake&) = delete;
+    ~Handshake() {
+        gnutls_deinit(session_);
+        gnutls_certificate_free_credentials(credentials_);
+        ::close(socket_);
+    }
+    /// Whether the other end has let it in: the first that Ice sends, its "validate connection", has come.
+    bool isLetIn() {
+        const auto until = [](auto step) {
+            for (auto code = step();; code = step())
+                if (code >= 0 || gnutls_error_is_fatal(static_cast<int>(code)) != 0) return code;
+        };
+        if (until([&] { return gnutls_handshake(session_); }) != GNUTLS_E_SUCCESS) return false;
+        std::array<char, 14> message{};
+        return until([&] { return gnutls_record_recv(session_, message.data(), message.size()); }) == 14;
+    }
+
+  private:
+    const int socket_;
+    gnutls_certificate_credentials_t credentials_ = nullptr;
+    gnutls_session_t session_ = nullptr;
+};
+
+TEST_F(FloodOfLinks, WhoComesFromTheSamePortAsAServerIsAStrangerAllTheSame) {
+    startServers();
+    const int free = connectedTo(kFrontEnd);
+    sockaddr_in here{};
+    socklen_t size = sizeof here;
+    ASSERT_EQ(::getsockname(free, reinterpret_cast<sockaddr*>(&here), &size), 0);
+    ::close(free);
+    const int port = ntohs(here.sin_port);
+
+    const int its = connectedTo(kFrontEndSignal, port);
+    ASSERT_GE(its, 0) << std::strerror(errno);
+    Handshake server(its, file(ours, Kind::EntityServer, "es9"));
+    ASSERT_TRUE(server.isLetIn()) << kLog->all();
+    const int stranger = connectedTo(kFrontEnd, port);
+    ASSERT_GE(stranger, 0) << std::strerror(errno);
+    flood.push_back(stranger);
+    const auto stands = [](int one) {
+        char byte = 0;
+        return ::recv(one, &byte, 1, MSG_DONTWAIT | MSG_PEEK) < 0 && errno == EAGAIN;
+    };
+    EXPECT_TRUE(waitUntil([&] { return !stands(stranger); }, 40s)) << "it has shown no certificate";
+    EXPECT_TRUE(waitUntil([&] { return kLog->has("no session in 10 s"); }, 30s)) << kLog->all();
+    EXPECT_TRUE(stands(its)) << "the server has gone, too";
+}
+
 TEST_F(FloodOfLinks, IsBoundedAndWhoeverFinishesNoHandshakeIsDisconnectedWhileHonestServersGoOn) {
     ASSERT_NO_FATAL_FAILURE(startAll());
     ASSERT_TRUE(reaches()) << kLog->all();
-    ASSERT_TRUE(waitUntil([&] { return !openTo(kFrontEndSignal).empty() && !openTo(kFrontEnd).empty(); }));
+    // Both connections of the entity server have been used: no handshake of theirs is under way.
+    const auto to_client = transport::toIce(robot->headTo(client->facts.me.id));
+    robot->signalOneway()->sendToClient(to_client, toRange("signal"));
+    robot->dataOneway()->sendToClient(to_client, toRange("data"));
+    ASSERT_TRUE(waitUntil([&] {
+        return client->log.has(std::string("signal msg ") + kFirst + " signal") &&
+               client->log.has(std::string("data msg ") + kFirst + " data");
+    })) << kLog->all();
     const auto signals = openTo(kFrontEndSignal);
     const auto messages = openTo(kFrontEnd);
     floodOf(150, kFrontEnd);

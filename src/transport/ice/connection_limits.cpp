@@ -15,6 +15,8 @@
 #include <optional>
 #include <utility>
 
+#include "transport/ice/known_connections.hpp"
+
 namespace axon::transport {
 namespace {
 
@@ -112,8 +114,8 @@ ConnectionLimits::Ends ConnectionLimits::endsOf(int fd) {
     const auto local = endOf(fd, ::getsockname);
     const auto remote = endOf(fd, ::getpeername);
     if (!local || !remote) return {};
-    return {
-        {local->first, local->second}, remote->first + ":" + std::to_string(remote->second), remote->first};
+    const auto told = [](const auto& end) { return end.first + ":" + std::to_string(end.second); };
+    return {{local->first, local->second}, bothEnds(told(*remote), told(*local)), remote->first};
 }
 
 /// Under mutex_.
@@ -171,7 +173,7 @@ TimePoint ConnectionLimits::look() {
             const auto& ends = ends_.at(one.id);
             const auto* watcher = ends.local.port == 0 ? nullptr : watcherOf(ends);
             if (watcher == nullptr) continue;
-            seen.push_back({one.id, ends.address, watcher->sessions.state(ends.peer)});
+            seen.push_back({one.id, ends.address, watcher->sessions.state(ends.both)});
             watched.emplace(one.id, one);
         }
     }
@@ -190,7 +192,7 @@ TimePoint ConnectionLimits::look() {
         for (const auto id : verdict.close) {
             const auto& ends = ends_.at(id);
             const auto* watcher = watcherOf(ends);
-            if (watcher != nullptr && watcher->sessions.state(ends.peer) == Peer::Stranger)
+            if (watcher != nullptr && watcher->sessions.state(ends.both) == Peer::Stranger)
                 shutDown(watched.at(id));
         }
         for (const auto id : verdict.silent) {
@@ -198,7 +200,7 @@ TimePoint ConnectionLimits::look() {
             const auto* watcher = watcherOf(ends);
             if (watcher == nullptr) continue;
             if (watcher->sessions.end_silent) {
-                watcher->sessions.end_silent(ends.peer);
+                watcher->sessions.end_silent(ends.both);
             } else {
                 shutDown(watched.at(id));
             }

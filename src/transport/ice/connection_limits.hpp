@@ -32,13 +32,13 @@ class ConnectionLimits {
   public:
     using Peer = ConnectionLimitsCore::Peer;
     using Note = std::function<void(const std::string& line)>;
-    /// Who the peers at these endpoints are, each by its address and port ("127.0.0.1:50122"); called on this
+    /// Who has connected to these endpoints, by both ends of each connection (bothEnds()); called on this
     /// object's thread.
     struct Sessions {
-        std::function<Peer(const std::string& peer)> state;
+        std::function<Peer(const std::string& ends)> state;
         /// Nothing has come from a peer that has a session; it is to be ended. Null: its connection is simply
         /// closed.
-        std::function<void(const std::string& peer)> end_silent = nullptr;
+        std::function<void(const std::string& ends)> end_silent = nullptr;
     };
 
     /// The bounds are made to fit into the number of descriptors that this process may have
@@ -56,8 +56,9 @@ class ConnectionLimits {
 
   private:
     struct Ends {
-        Endpoint local;             // port 0 where it is no connection of TCP, or its other end has gone
-        std::string peer, address;  // "127.0.0.1:50122" and "127.0.0.1"
+        Endpoint local;       // port 0 where it is no connection of TCP, or its other end has gone
+        std::string both;     // bothEnds()
+        std::string address;  // of the peer, "127.0.0.1"
     };
     struct Open {
         int fd;

@@ -43,7 +43,7 @@ ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>
         ++untold_[{reason, room ? address : kOtherAddresses}];
     };
     const auto close = [&](std::uint64_t id, const std::string& address, const std::string& reason) {
-        known_.at(id).closed = true;
+        known_.at(id).closed_as = Peer::Stranger;
         verdict.close.push_back(id);
         count(reason, address);
     };
@@ -55,10 +55,10 @@ ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>
         count_ += is_new ? 1 : 0;
         auto& known = at->second;
         known.there = true;
-        if (known.closed || one.peer == Peer::Exempt) continue;
+        if (known.closed_as == one.peer || one.peer == Peer::Exempt) continue;
         if (one.peer == Peer::HasSession) {
             if (one.silent_for <= bounds_.silence) continue;
-            known.closed = true;
+            known.closed_as = Peer::HasSession;
             verdict.silent.push_back(one.id);
             count("nothing has come over a session's connection for " + seconds(bounds_.silence),
                   one.address);

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <unordered_map>
 #include <utility>
@@ -60,7 +61,7 @@ class ConnectionLimitsCore {
     struct Known {
         TimePoint since;
         std::uint64_t number = 0;  // in the order of their coming
-        bool closed = false;
+        std::optional<Peer> closed_as;
         bool there = false;
     };
     void tell(Verdict& verdict, TimePoint now);

@@ -144,6 +144,19 @@ TEST_F(Limits, ASilentSessionIsClosed) {
                 ElementsAre(HasSubstr("nothing has come over a session's connection for 60 s")));
 }
 
+TEST_F(Limits, WhoLogsInWhileItIsBeingClosedIsWatchedAsASession) {
+    come(1);
+    look();
+    clock.advance(11s);
+    EXPECT_THAT(look().close, ElementsAre(1));
+    // ConnectionLimits asks once more, finds a session, and leaves it open.
+    connections = {{1, "10.0.0.1", Peer::HasSession, 0s}};
+    EXPECT_THAT(look().silent, IsEmpty());
+    connections = {{1, "10.0.0.1", Peer::HasSession, 61s}};
+    EXPECT_THAT(look().silent, ElementsAre(1));
+    EXPECT_THAT(look().silent, IsEmpty()) << "it is not reported again";
+}
+
 TEST_F(Limits, WhatIsGoneIsForgotten) {
     come(1);
     look();

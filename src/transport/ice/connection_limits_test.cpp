@@ -19,6 +19,7 @@
 #include "support/loopback.hpp"
 #include "transport/ice/adapter.hpp"
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/known_connections.hpp"
 
 namespace axon::transport {
 namespace {
@@ -45,7 +46,8 @@ class ConnectionLimitsTest : public testing::Test {
         proxy_->ice_ping();
         const auto info =
             std::dynamic_pointer_cast<Ice::IPConnectionInfo>(proxy_->ice_getCachedConnection()->getInfo());
-        const auto session = info->localAddress + ":" + std::to_string(info->localPort);
+        const auto session = bothEnds(info->localAddress + ":" + std::to_string(info->localPort),
+                                      info->remoteAddress + ":" + std::to_string(info->remotePort));
         limits_.emplace(
             clock_,
             [this](const std::string& line) {
@@ -56,8 +58,8 @@ class ConnectionLimitsTest : public testing::Test {
                 noted_.notify_all();
             },
             bounds);
-        watch_ = limits_->watch(listenedEndpoints(*adapter_), {[session](const std::string& peer) {
-                                    return peer == session ? ConnectionLimits::Peer::HasSession
+        watch_ = limits_->watch(listenedEndpoints(*adapter_), {[session](const std::string& ends) {
+                                    return ends == session ? ConnectionLimits::Peer::HasSession
                                                            : ConnectionLimits::Peer::Stranger;
                                 }});
     }

@@ -3,8 +3,6 @@
 
 #include <utility>
 
-#include "transport/ice/peer_connection.hpp"
-
 namespace axon::transport {
 
 GateCalls::GateCalls(std::shared_ptr<Ice::Object> gate, Told told)
@@ -12,8 +10,8 @@ GateCalls::GateCalls(std::shared_ptr<Ice::Object> gate, Told told)
 
 bool GateCalls::dispatch(Ice::Request& request) {
     const auto tell = [&](const char* why) {
-        const auto& connection = request.getCurrent().con;
-        told_(connection ? DirectConnection::peerOf(*connection) : std::string(), why);
+        // None where this process has called itself.
+        if (const auto& connection = request.getCurrent().con) told_(*connection, why);
     };
     try {
         if (gate_) return gate_->ice_dispatch(request);

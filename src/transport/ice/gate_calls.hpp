@@ -14,8 +14,8 @@ namespace axon::transport {
 /// are not there. Threads: any.
 class GateCalls final : public Ice::DispatchInterceptor {
   public:
-    /// The address of who called, and why it was refused; as often as strangers cause it.
-    using Told = std::function<void(const std::string& peer, const std::string& why)>;
+    /// By which connection it came, and why it was refused; as often as strangers cause it.
+    using Told = std::function<void(const Ice::Connection& connection, const std::string& why)>;
 
     /// `gate`: null: none is there.
     GateCalls(std::shared_ptr<Ice::Object> gate, Told told);

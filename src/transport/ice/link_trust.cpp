@@ -8,6 +8,7 @@
 #include "certificates/trust.hpp"
 #include "common/utf8.hpp"
 #include "transport/ice/adapter.hpp"
+#include "transport/ice/known_connections.hpp"
 #include "transport/ice/peer_connection.hpp"
 #include "transport/ice/tls.hpp"
 
@@ -73,7 +74,7 @@ void LinkTrust::admit(const Ice::ObjectAdapter& adapter, std::vector<Kind> kinds
 
 void LinkTrust::guard(const std::shared_ptr<Ice::Communicator>& communicator, Elsewhere elsewhere) {
     judgeCertificates(communicator, [this](const Judged& one) {
-        if (one.incoming) return mayCome(one.adapter, one.peer, one.certificate);
+        if (one.incoming) return mayCome(one);
         const auto kind = one.certificate ? certificates::kindOf(one.certificate->unit) : std::nullopt;
         if (kind && isCalled(*kind)) return true;
         noteWrongServer(one.peer, one.certificate ? "is that of " + told(*one.certificate) +
@@ -93,12 +94,12 @@ void LinkTrust::guard(const std::shared_ptr<Ice::Communicator>& communicator, El
     });
 }
 
-bool LinkTrust::mayCome(const std::string& adapter, const std::string& peer,
-                        const std::optional<PeerCertificate>& certificate) {
+bool LinkTrust::mayCome(const Judged& one) {
+    const auto& certificate = one.certificate;
     std::vector<Kind> kinds;
     {
         const std::lock_guard lock(mutex_);
-        const auto found = doors_.find(adapter);
+        const auto found = doors_.find(one.adapter);
         if (found == doors_.end()) return true;  // its gate says what it expects, and why not
         kinds = found->second;
     }
@@ -106,20 +107,20 @@ bool LinkTrust::mayCome(const std::string& adapter, const std::string& peer,
     if (kind && std::find(kinds.begin(), kinds.end(), *kind) != kinds.end()) {
         const auto now = clock_.now();
         const std::lock_guard lock(mutex_);
-        std::erase_if(come_, [now](const auto& one) { return now - one.second > kForgetCome; });
-        come_[peer] = now;
+        std::erase_if(come_, [now](const auto& its) { return now - its.second > kForgetCome; });
+        come_[bothEnds(one.peer, one.local)] = now;
         return true;
     }
-    refuse(peer, certificate ? certificate->name : std::string(),
-           "a connection to " + adapter + " was refused: the certificate " +
+    refuse(one.peer, certificate ? certificate->name : std::string(),
+           "a connection to " + one.adapter + " was refused: the certificate " +
                (certificate ? "is that of " + told(*certificate) : std::string("was not shown")) +
                "; expected one of the kind " + listed(kinds));
     return false;
 }
 
-bool LinkTrust::hasCome(const std::string& peer) {
+bool LinkTrust::hasCome(const std::string& ends) {
     const std::lock_guard lock(mutex_);
-    const auto found = come_.find(peer);
+    const auto found = come_.find(ends);
     if (found == come_.end()) return false;
     found->second = clock_.now();
     return true;

@@ -21,6 +21,8 @@
 
 namespace axon::transport {
 
+struct Judged;
+
 /// What somebody did who speaks in a name (LinkTrust::speaksAs).
 inline constexpr const char* kAnnounced = "announced itself as";
 
@@ -41,7 +43,7 @@ std::optional<std::string> notServer(const Ice::Connection& connection, certific
 /// Every refusal is counted; the log has at most ten in a second, the audit trail as many as it takes, but of
 /// messages whose senders stay connected ten in a second.
 /// Threads: any. Lifetime: outlives the communicators that it guards. Bound: it remembers one name for each
-/// connection that is open, and one address for each that was open in the last minute.
+/// connection that is open, and both ends of each that was open in the last minute.
 class LinkTrust {
   public:
     using Note = std::function<void(const std::string& line)>;
@@ -56,9 +58,9 @@ class LinkTrust {
     using Elsewhere = std::function<void(const std::string& peer, const std::string& why)>;
     void guard(const std::shared_ptr<Ice::Communicator>& communicator, Elsewhere elsewhere = {});
 
-    /// Whether the peer at this address ("10.0.0.7:50122") has shown the certificate of a kind that may come.
-    /// For ConnectionLimits, which asks of each connection while it is open, once a second at least.
-    bool hasCome(const std::string& peer);
+    /// Whether over this connection (bothEnds()) the certificate of a kind that may come has been shown. For
+    /// ConnectionLimits, which asks of each connection while it is open, once a second at least.
+    bool hasCome(const std::string& ends);
 
     /// Who is at the other end of a connection to one of these adapters. Remembered until it closes.
     std::shared_ptr<const PeerCertificate> callerOf(const std::shared_ptr<Ice::Connection>& connection);
@@ -81,8 +83,7 @@ class LinkTrust {
     std::uint64_t refused() const { return refused_.load(std::memory_order_relaxed); }
 
   private:
-    bool mayCome(const std::string& adapter, const std::string& peer,
-                 const std::optional<PeerCertificate>& certificate);
+    bool mayCome(const Judged& one);
     void refuse(const std::string& peer, const std::string& name, const std::string& why);
     void record(const std::string& peer, const std::string& name, const std::string& why);
     void disconnect(const Ice::Current& current, const std::string& why);
@@ -97,7 +98,7 @@ class LinkTrust {
     /// Who may come, by the adapter's name. Guarded by mutex_.
     std::map<std::string, std::vector<certificates::Kind>> doors_;
     std::set<std::uint16_t> ports_;  // of those adapters; guarded by mutex_
-    /// When it was asked for, or came, last: IceSSL tells of no end. Guarded by mutex_.
+    /// When it was asked for, or came, last, by its ends: IceSSL tells of no end. Guarded by mutex_.
     std::map<std::string, TimePoint> come_;
     std::mutex callers_mutex_;  // taken for each message, so nothing else is done under it
     /// Of open connections. Guarded by callers_mutex_.

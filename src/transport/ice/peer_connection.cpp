@@ -6,6 +6,7 @@
 #include <string_view>
 
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/known_connections.hpp"
 #include "transport/ice/tls.hpp"
 
 namespace axon::transport {
@@ -90,6 +91,10 @@ std::string DirectConnection::peerOf(const Ice::Connection& connection) {
 std::string DirectConnection::localOf(const Ice::Connection& connection) {
     const auto ip = ipOf(connection);
     return ip ? ip->localAddress + ":" + std::to_string(ip->localPort) : std::string();
+}
+
+std::string DirectConnection::endsOf(const Ice::Connection& connection) {
+    return bothEnds(peerOf(connection), localOf(connection));
 }
 
 std::string DirectConnection::remoteAddressOf(const Ice::Connection& connection) {

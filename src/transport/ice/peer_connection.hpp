@@ -40,6 +40,8 @@ class PeerConnection {
     virtual const void* key() const = 0;
     /// "127.0.0.1:50122", for logs.
     virtual std::string peer() const = 0;
+    /// What no other connection that is open has (bothEnds()); empty behind a router.
+    virtual std::string ends() const = 0;
     /// The address of this side that the peer connected to; empty when not TCP.
     virtual std::string localAddress() const = 0;
     /// The peer itself, or its router, came by TLS.
@@ -63,6 +65,7 @@ class DirectConnection final : public PeerConnection {
     bool routed() const override { return false; }
     const void* key() const override { return connection_.get(); }
     std::string peer() const override { return peerOf(*connection_); }
+    std::string ends() const override { return endsOf(*connection_); }
     std::string localAddress() const override;
     bool tls() const override;
 
@@ -70,6 +73,7 @@ class DirectConnection final : public PeerConnection {
     /// The two ends of a connection as "127.0.0.1:50122".
     static std::string peerOf(const Ice::Connection& connection);
     static std::string localOf(const Ice::Connection& connection);
+    static std::string endsOf(const Ice::Connection& connection);
     /// The peer's own address; empty when not TCP.
     static std::string remoteAddressOf(const Ice::Connection& connection);
     /// The header `Origin` with which a browser opened a WebSocket; none of other connections.

@@ -185,11 +185,13 @@ bool speaksOlderTls(const std::string& protocols, std::string least) {
     return !least.empty() && !least.ends_with("1_3");  // tls1_3 and tlsv1_3
 }
 
-std::string peerOf(const IceSSL::ConnectionInfo& info) {
+/// The other end and the one here.
+std::pair<std::string, std::string> endsOf(const IceSSL::ConnectionInfo& info) {
     for (auto layer = info.underlying; layer; layer = layer->underlying)
         if (const auto ip = std::dynamic_pointer_cast<Ice::IPConnectionInfo>(layer))
-            return ip->remoteAddress + ":" + std::to_string(ip->remotePort);
-    return "an unknown address";
+            return {ip->remoteAddress + ":" + std::to_string(ip->remotePort),
+                    ip->localAddress + ":" + std::to_string(ip->localPort)};
+    return {"an unknown address", {}};
 }
 
 }  // namespace
@@ -308,7 +310,9 @@ void judgeCertificates(const std::shared_ptr<Ice::Communicator>& communicator,
     if (!plugin) return;
     plugin->setCertificateVerifier(
         [accept = std::move(accept)](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
-            return accept({info->incoming, info->adapterName, peerOf(*info), verifiedOf(*info)});
+            auto [peer, local] = endsOf(*info);
+            return accept(
+                {info->incoming, info->adapterName, std::move(peer), std::move(local), verifiedOf(*info)});
         });
 }
 

@@ -55,7 +55,8 @@ void checkServers(const std::shared_ptr<Ice::Communicator>& communicator);
 struct Judged {
     bool incoming = false;
     std::string adapter;  ///< of an incoming one
-    std::string peer;     ///< the address at the other end
+    std::string peer;     ///< the address at the other end, "10.0.0.7:50122"
+    std::string local;    ///< the one here
     std::optional<PeerCertificate> certificate;
 };
 /// In place of checkServers(): `accept` decides of each connection before anything has been sent or read. On

@@ -67,8 +67,9 @@ struct SessionLane {
     }
     /// For addGate(); `routers`: of their peers, who may be late, nothing is told; null: there are none.
     GateCalls::Told ofStrangers(const RouterConnections* routers) {
-        return [this, routers](const std::string& peer, const std::string& why) {
-            if (routers == nullptr || !routers->has(peer)) noteCall(peer, why);
+        return [this, routers](const Ice::Connection& connection, const std::string& why) {
+            if (routers == nullptr || !routers->has(DirectConnection::endsOf(connection)))
+                noteCall(DirectConnection::peerOf(connection), why);
         };
     }
     /// A call of a stranger that is none of the contracts', or is for the session of somebody else.
@@ -204,11 +205,11 @@ template <class Core, class Servant>
                                           const RouterConnections* routers) {
     auto& sessions = lane.sessions;
     return limits.watch(listenedEndpoints(adapter),
-                        {[&sessions, routers](const std::string& peer) {
-                             return routers != nullptr && routers->has(peer) ? ConnectionLimits::Peer::Exempt
-                                                                             : sessions.stateOf(peer);
+                        {[&sessions, routers](const std::string& ends) {
+                             return routers != nullptr && routers->has(ends) ? ConnectionLimits::Peer::Exempt
+                                                                             : sessions.stateOf(ends);
                          },
-                         [&sessions](const std::string& peer) { sessions.endSilent(peer); }});
+                         [&sessions](const std::string& ends) { sessions.endSilent(ends); }});
 }
 
 /// Puts a session's servant behind a proxy that tells of unreadable calls; it ends with its peer
@@ -272,12 +273,12 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
         }
     };
     if (lane.logins == nullptr) return answer(LoggedIn{});
-    lane.sessions.asks(request.peer);
-    (lane.logins->*Kind::kVerify)(std::move(request), [&lane, its_peer = request.peer,
-                                                       answer = std::move(answer)](Result<LoggedIn> who) {
-        answer(std::move(who));
-        lane.sessions.answered(its_peer);
-    });
+    lane.sessions.asks(peer->ends());
+    (lane.logins->*Kind::kVerify)(
+        std::move(request), [&lane, ends = peer->ends(), answer = std::move(answer)](Result<LoggedIn> who) {
+            answer(std::move(who));
+            lane.sessions.answered(ends);
+        });
 }
 
 }  // namespace axon::transport

@@ -10,8 +10,8 @@
 #include "common/clock.hpp"
 #include "common/result.hpp"
 #include "transport/ice/connection_limits.hpp"
+#include "transport/ice/known_connections.hpp"
 #include "transport/ice/peer_connection.hpp"
-#include "transport/ice/session_peers.hpp"
 
 namespace axon::transport {
 
@@ -25,14 +25,14 @@ class OpenSessions {
     explicit OpenSessions(const Clock& clock) : clock_(clock) {}
 
     Result<void> add(const PeerConnection& connection, const std::shared_ptr<Servant>& servant) {
-        const auto peer = connection.routed() ? std::string() : connection.peer();
+        const auto ends = connection.ends();
         const std::lock_guard lock(mutex_);
-        if (!connections_.try_emplace(connection.key(), peer).second) {
+        if (!connections_.try_emplace(connection.key(), ends).second) {
             return Refusal{RefusalCode::Duplicate,
                            "this connection has a session already; open another connection for another one",
                            {}};
         }
-        if (!peer.empty()) peers_[peer] = servant;
+        if (!ends.empty()) servants_[ends] = servant;
         opening_.push_back({clock_.now() + kSetUpTime, servant});
         return {};
     }
@@ -41,23 +41,24 @@ class OpenSessions {
         const std::lock_guard lock(mutex_);
         const auto found = connections_.find(connection);
         if (found == connections_.end()) return;
-        peers_.erase(found->second);
+        servants_.erase(found->second);
         connections_.erase(found);
     }
 
-    /// The peer at "127.0.0.1:50122" has asked to log in; answered() comes once it has been.
-    void asks(const std::string& peer) { asking_.add(peer); }
-    void answered(const std::string& peer) { asking_.remove(peer); }
+    /// Over this connection (PeerConnection::ends()) somebody has asked to log in; answered() comes once it
+    /// has been.
+    void asks(const std::string& ends) { asking_.add(ends); }
+    void answered(const std::string& ends) { asking_.remove(ends); }
 
     /// For ConnectionLimits. A session that was opened and not taken into use makes nobody known.
-    ConnectionLimits::Peer stateOf(const std::string& peer) {
-        if (asking_.has(peer)) return ConnectionLimits::Peer::Exempt;
-        const auto servant = servantOf(peer);
+    ConnectionLimits::Peer stateOf(const std::string& ends) {
+        if (asking_.has(ends)) return ConnectionLimits::Peer::Exempt;
+        const auto servant = servantOf(ends);
         return servant && servant->ready() ? ConnectionLimits::Peer::HasSession
                                            : ConnectionLimits::Peer::Stranger;
     }
-    void endSilent(const std::string& peer) {
-        if (const auto servant = servantOf(peer)) servant->disconnect("nothing was heard of it for a minute");
+    void endSilent(const std::string& ends) {
+        if (const auto servant = servantOf(ends)) servant->disconnect("nothing was heard of it for a minute");
     }
 
     /// Disconnects those that are late; returns when the next one will be, at most a second ahead.
@@ -85,17 +86,17 @@ class OpenSessions {
         std::weak_ptr<Servant> servant;
     };
     const Clock& clock_;
-    std::shared_ptr<Servant> servantOf(const std::string& peer) {
+    std::shared_ptr<Servant> servantOf(const std::string& ends) {
         const std::lock_guard lock(mutex_);
-        const auto found = peers_.find(peer);
-        return found == peers_.end() ? nullptr : found->second.lock();
+        const auto found = servants_.find(ends);
+        return found == servants_.end() ? nullptr : found->second.lock();
     }
 
     std::mutex mutex_;
-    // Guarded by mutex_: of each connection (PeerConnection::key()) its peer, which is empty behind a router.
+    // Guarded by mutex_: of each connection (PeerConnection::key()) its ends.
     std::unordered_map<const void*, std::string> connections_;
-    std::unordered_map<std::string, std::weak_ptr<Servant>> peers_;  // guarded by mutex_
-    SessionPeers asking_;
+    std::unordered_map<std::string, std::weak_ptr<Servant>> servants_;  // guarded by mutex_; by ends
+    KnownConnections asking_;
     std::deque<Opening> opening_;  // guarded by mutex_, earliest first
 };
 

@@ -48,9 +48,9 @@ Result<void> RouterConnections::admit(const std::shared_ptr<Ice::Connection>& co
     {
         const std::lock_guard lock(mutex_);
         if (!sessions_.try_emplace(connection.get()).second) return {};
-        const auto peer = DirectConnection::peerOf(*connection);
-        peer_of_.emplace(connection.get(), peer);
-        peers_.add(peer);
+        const auto ends = DirectConnection::endsOf(*connection);
+        ends_of_.emplace(connection.get(), ends);
+        admitted_.add(ends);
     }
     connection->setCloseCallback([this](const std::shared_ptr<Ice::Connection>& it) { closed(it.get()); });
     // A router may close what is silent, and its sessions would be lost with it.
@@ -95,9 +95,9 @@ void RouterConnections::closed(const Ice::Connection* connection) {
         if (found == sessions_.end()) return;
         its = std::move(found->second);
         sessions_.erase(found);
-        const auto peer = peer_of_.find(connection);
-        peers_.remove(peer->second);
-        peer_of_.erase(peer);
+        const auto ends = ends_of_.find(connection);
+        admitted_.remove(ends->second);
+        ends_of_.erase(ends);
     }
     for (const auto& [key, session] : its) {
         if (const auto alive = session.lock()) alive->ended("the router is gone");

@@ -15,9 +15,9 @@
 #include "common/clock.hpp"
 #include "common/rate_limit.hpp"
 #include "common/result.hpp"
+#include "transport/ice/known_connections.hpp"
 #include "transport/ice/login.hpp"
 #include "transport/ice/peer_connection.hpp"
-#include "transport/ice/session_peers.hpp"
 #include "transport/outbox/outbox.hpp"
 
 namespace axon::transport {
@@ -51,8 +51,8 @@ class RouterConnections {
     /// An admitted connection has brought this session's first call.
     void add(const Ice::Connection* connection, const std::shared_ptr<RoutedConnection>& session);
     void remove(const Ice::Connection* connection, const RoutedConnection* session);
-    /// Whether an admitted connection comes from there ("127.0.0.1:50122").
-    bool has(const std::string& peer) const { return peers_.has(peer); }
+    /// Whether it is an admitted connection, by its ends (bothEnds()).
+    bool has(const std::string& ends) const { return admitted_.has(ends); }
 
   private:
     std::optional<std::string> objection(const Ice::Connection& connection) const;
@@ -66,8 +66,8 @@ class RouterConnections {
     // Guarded by mutex_; an entry for each admitted connection until it closes:
     std::map<const Ice::Connection*, std::map<const RoutedConnection*, std::weak_ptr<RoutedConnection>>>
         sessions_;
-    std::map<const Ice::Connection*, std::string> peer_of_;  // guarded by mutex_
-    SessionPeers peers_;
+    std::map<const Ice::Connection*, std::string> ends_of_;  // guarded by mutex_
+    KnownConnections admitted_;
 };
 
 /// The way to a peer behind a router, as one session on the server's side has it. Many of them share one
@@ -90,6 +90,7 @@ class RoutedConnection final : public PeerConnection, public std::enable_shared_
     bool routed() const override { return true; }
     const void* key() const override { return this; }
     std::string peer() const override { return peer_; }
+    std::string ends() const override { return {}; }
     std::string localAddress() const override { return {}; }
     bool tls() const override { return false; }
 

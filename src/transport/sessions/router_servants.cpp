@@ -180,8 +180,9 @@ std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communic
                                                      const std::string& endpoint, RouterDoor& door) {
     // Until a router has called something (RouterConnections::admit()).
     auto adapter = listen(communicator, name, endpoint, kThreads, Idle::ClosedAfterASecond);
-    const GateCalls::Told told = [&routers = door.routers](const std::string& peer, const std::string& why) {
-        routers.noteCall(peer, why);
+    const GateCalls::Told told = [&routers = door.routers](const Ice::Connection& connection,
+                                                           const std::string& why) {
+        routers.noteCall(DirectConnection::peerOf(connection), why);
     };
     const auto add = [&](std::shared_ptr<Ice::Object> servant, const char* name) {
         adapter->add(std::make_shared<GateCalls>(std::move(servant), told), Ice::stringToIdentity(name));

@@ -95,8 +95,8 @@ class ServerRim {
             // A router without TLS is on this machine, and may have said nothing yet but that it is there.
             auto endpoints = listenedEndpoints(*router_adapter_);
             std::erase_if(endpoints, [](const Endpoint& one) { return !one.tls; });
-            const auto stateOf = [this](const std::string& peer) {
-                return links_->hasCome(peer) ? ConnectionLimits::Peer::Exempt
+            const auto stateOf = [this](const std::string& ends) {
+                return links_->hasCome(ends) ? ConnectionLimits::Peer::Exempt
                                              : ConnectionLimits::Peer::Stranger;
             };
             watches_.push_back(limits_.watch(std::move(endpoints), {stateOf}));

@@ -15,9 +15,9 @@
 #include "common/neighbours.hpp"
 #include "transport/ice/adapter.hpp"
 #include "transport/ice/connection_limits.hpp"
+#include "transport/ice/known_connections.hpp"
 #include "transport/ice/link_trust.hpp"
 #include "transport/ice/peer_connection.hpp"
-#include "transport/ice/session_peers.hpp"
 
 namespace axon::transport {
 
@@ -31,21 +31,22 @@ class TopicCallers : public std::enable_shared_from_this<TopicCallers> {
             const std::lock_guard lock(mutex_);
             if (!callers_.insert(connection.get()).second) return;
         }
-        const auto peer = DirectConnection::peerOf(*connection);
-        peers_.add(peer);
+        const auto ends = DirectConnection::endsOf(*connection);
+        known_.add(ends);
         connection->setCloseCallback(
-            [its = shared_from_this(), peer](const std::shared_ptr<Ice::Connection>& closed) {
-                its->peers_.remove(peer);
+            [its = shared_from_this(), ends](const std::shared_ptr<Ice::Connection>& closed) {
+                its->known_.remove(ends);
                 const std::lock_guard lock(its->mutex_);
                 its->callers_.erase(closed.get());
             });
     }
-    bool has(const std::string& peer) const { return peers_.has(peer); }
+    /// By its ends (bothEnds()).
+    bool has(const std::string& ends) const { return known_.has(ends); }
 
   private:
     std::mutex mutex_;  // taken for each message, so nothing else is done under it
     std::unordered_set<const Ice::Connection*> callers_;  // guarded by mutex_
-    SessionPeers peers_;
+    KnownConnections known_;
 };
 
 /// Where one of several servers is reached by the others: two adapters, one for each lane, and the
@@ -148,8 +149,8 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
                                                               LinkTrust* links) {
     using Peer = ConnectionLimits::Peer;
     const auto stateBy = [links](const std::shared_ptr<TopicCallers>& callers) {
-        return [links, callers](const std::string& peer) {
-            const bool known = links != nullptr ? links->hasCome(peer) : callers->has(peer);
+        return [links, callers](const std::string& ends) {
+            const bool known = links != nullptr ? links->hasCome(ends) : callers->has(ends);
             return known ? Peer::HasSession : Peer::Stranger;
         };
     };

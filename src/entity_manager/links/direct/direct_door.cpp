@@ -16,9 +16,9 @@
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/direct_head.hpp"
 #include "transport/ice/gate_calls.hpp"
+#include "transport/ice/known_connections.hpp"
 #include "transport/ice/lane_socket.hpp"
 #include "transport/ice/peer_connection.hpp"
-#include "transport/ice/session_peers.hpp"
 #include "transport/ice/tls.hpp"
 #include "transport/outbox/outbox.hpp"
 
@@ -167,7 +167,8 @@ class GateServant final : public slice::DirectGate {
           events_(std::move(events)),
           refusals_(std::move(refusals)) {}
 
-    bool hasSession(const std::string& peer) const { return sessions_->has(peer); }
+    /// By its ends (bothEnds()).
+    bool hasSession(const std::string& ends) const { return sessions_->has(ends); }
 
     Axon::CommUtil::Bytes challenge(const Ice::Current& current) override {
         const auto nonce = Id128::random(random_);
@@ -199,7 +200,7 @@ class GateServant final : public slice::DirectGate {
                            "direct path: expected the session UUID of the holder, a path of 16 bytes, a "
                            "callback, and the signal lane",
                            {}});
-        if (hasSession(transport::DirectConnection::peerOf(*current.con)))
+        if (hasSession(transport::DirectConnection::endsOf(*current.con)))
             return refuse(wrongState("expected a connection for each lane; this one has its session"));
         const auto nonce = takeNonce(current.con);
         if (!nonce)
@@ -214,14 +215,14 @@ class GateServant final : public slice::DirectGate {
                         const Sender& sender, std::shared_ptr<DirectSigns> signs,
                         std::string proof) -> std::shared_ptr<DirectLane> {
             auto back = std::make_shared<IceLane>(current.con, callback);
-            const auto peer = back->peer();
-            sessions->add(peer);
+            const auto ends = transport::DirectConnection::endsOf(*current.con);
+            sessions->add(ends);
             transport::prepareSignalLane(*current.con);
             const auto session = current.adapter->addWithUUID(
                 std::make_shared<SessionServant>(sender, entity, std::move(signs), back, clock, events));
             back->connection().onClosed([adapter = current.adapter, identity = session->ice_getIdentity(),
-                                         path, events, sessions, peer](const transport::CloseReason& reason) {
-                sessions->remove(peer);
+                                         path, events, sessions, ends](const transport::CloseReason& reason) {
+                sessions->remove(ends);
                 try {
                     adapter->remove(identity);
                 } catch (const Ice::Exception&) {  // the adapter is being destroyed, and the servant with it
@@ -261,7 +262,8 @@ class GateServant final : public slice::DirectGate {
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
     const std::shared_ptr<DirectRefusals> refusals_;
-    const std::shared_ptr<transport::SessionPeers> sessions_ = std::make_shared<transport::SessionPeers>();
+    const std::shared_ptr<transport::KnownConnections> sessions_ =
+        std::make_shared<transport::KnownConnections>();
     SystemRandom random_;
     std::mutex mutex_;
     std::deque<Challenge> challenges_;  // guarded by mutex_
@@ -325,12 +327,13 @@ DirectDoor::DirectDoor(const asio::any_io_executor& strand, ServerCommunicators&
         const auto gate = std::make_shared<GateServant>(entity, clock, events, ice.refusals());
         transport::addGate(
             *adapter, gate, kGate,
-            [entity, refusals = ice.refusals()](const std::string& peer, const std::string& why) {
-                refusals->refused(entity, peer, "a call", {RefusalCode::Malformed, why, {}});
+            [entity, refusals = ice.refusals()](const Ice::Connection& connection, const std::string& why) {
+                refusals->refused(entity, transport::DirectConnection::peerOf(connection), "a call",
+                                  {RefusalCode::Malformed, why, {}});
             });
         signal_door_->watch = ice.limits().watch(
-            transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
-                return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession
+            transport::listenedEndpoints(*adapter), {[gate](const std::string& ends) {
+                return gate->hasSession(ends) ? transport::ConnectionLimits::Peer::HasSession
                                               : transport::ConnectionLimits::Peer::Stranger;
             }});
         signal_ = address + ":" + std::to_string(transport::publishedEndpoints(*adapter).front().port);
