@@ -418,8 +418,9 @@ void Runs::onHistory(const std::string& entity, const proto::RunHistory& history
     for (const auto& record : history.runs()) {
         const auto run = Id128::fromBytes(record.run_id());
         const auto state = runStateFromProto(record.state());
-        if (!run || !state || !isFinal(*state) || open_.count(*run) == 0) continue;
+        if (!run || !state || open_.count(*run) == 0) continue;
         std::erase(pending->as<request::AskAfterRuns>().runs, *run);
+        if (!isFinal(*state)) continue;  // it lives, and the master tells of it
         auto& report = runs_.at(*run).report;
         const auto recorded = fromProto(record);
         for (const auto& step : recorded.steps) merge(report.steps, step);

@@ -438,6 +438,32 @@ TEST_F(RunsTest, AfterALostConnectionTheMasterSaysHowItEnded) {
     EXPECT_THAT(runs, SizeIs(2));
 }
 
+TEST_F(RunsTest, ARunThatIsStillUnderWayAfterALostConnectionStaysSoHoweverQuietItIs) {
+    takeBoth(5s);
+    const auto id = launch().value();
+    tell(1, event(id, 1, proto::RUN_RUNNING));
+    core.onDisconnected("cut");
+    connect();
+    for (const auto& message : link.take()) {
+        if (message.head.entity == uuid(1) && message.body.has_check_out())
+            grantWithRoot(message, root, 4, 5s);
+    }
+    const auto asked = link.take();
+    ASSERT_THAT(asked, SizeIs(1));
+    ASSERT_TRUE(asked[0].body.has_run_history());
+    proto::ToClient answer;
+    answer.mutable_run_history()->set_request_id(asked[0].body.run_history().request_id());
+    auto& record = *answer.mutable_run_history()->add_runs();
+    record.set_run_id(id.bytes());
+    record.set_state(proto::RUN_RUNNING);
+    fromEntity(1, answer);
+    for (int i = 0; i < 20; ++i) advance(1s);
+    EXPECT_EQ(report().state, RunState::Running) << report().reason.message;
+    for (const auto& message : link.take()) EXPECT_FALSE(message.body.has_run_history()) << "it has answered";
+    tell(1, event(id, 2, proto::RUN_SUCCEEDED));
+    EXPECT_EQ(report().state, RunState::Succeeded);
+}
+
 TEST_F(RunsTest, AMasterThatDoesNotSayHowItEndedLeavesItUnknown) {
     takeBoth(5s);
     launch().value();

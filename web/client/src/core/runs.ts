@@ -320,8 +320,9 @@ export class Runs {
         for (const record of history.runs) {
             const id = idOf(record.runId);
             const state = runStateOf(record.state);
-            if (id === undefined || state === undefined || !isFinalRun(state) || !this.open.has(id)) continue;
+            if (id === undefined || state === undefined || !this.open.has(id)) continue;
             pending.what.runs.delete(id);
+            if (!isFinalRun(state)) continue; // it lives, and the master tells of it
             const entry = this.runs.get(id) as Entry;
             const recorded = toRunRecord(record);
             const steps = merged(entry.report.steps, recorded.steps.filter(({ step }) => step >= 0 && step < STEPS_MAX));

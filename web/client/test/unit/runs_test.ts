@@ -105,6 +105,22 @@ test("A master that is lost leaves the run UNKNOWN; one that is back is asked ev
     assert.deepEqual([run.report().state, run.report().reason?.code], ["STOPPED", "CLIENT_LOST"]);
 });
 
+test("A run that is under way after a lost connection stays so, however quiet it is", async () => {
+    const { clock, server, client } = await both();
+    const run = client.runGlobal(SERVICE, bindings, "Cyton");
+    const { body } = server.message("collaboration");
+    server.say(ARM, { run: { runId: body.runId, sequence: 1n, state: 2 } });
+    server.events.closed("the cable was pulled");
+    await clock.advance(150);
+    server.join(ARM, "Cyton", { state: "REG", held: { epoch: 1, number: 1 }, holder: { id: "old", name: "me", role: "operator" } });
+    server.grant(ARM);
+    server.say(ARM, { runHistory: { requestId: server.message("runHistory").body.requestId, runs: [{ runId: body.runId, state: 2 }] } });
+    await clock.advance(20_000);
+    assert.deepEqual([run.report().state, run.report().reason], ["RUNNING", undefined]);
+    server.say(ARM, { run: { runId: body.runId, sequence: 2n, state: 7 } });
+    assert.equal((await run.wait()).state, "SUCCEEDED");
+});
+
 const candidate = (entity: string, more: Partial<Candidate> = {}): Candidate => {
     const service = { name: "Drive", globalId: "drive", kind: "SMPL", descr: "", notes: "", active: true, inactiveReason: "", executing: false, blocking: true, pausable: true, onClientLoss: "stop", parameters: [], resources: [], missing: [], parts: [] } as const;
     return { entity, name: entity, category: "ROBOT", type: "MOBILE", state: "IDLE", latched: false, holder: "", heldHere: false, services: [service], silent: "", ...more };
