@@ -8,6 +8,8 @@
 #include <string_view>
 #include <utility>
 
+#include "transport/ice/ip_layer.hpp"
+
 namespace axon::transport {
 namespace {
 
@@ -53,7 +55,7 @@ Where whereOf(const std::shared_ptr<Ice::ConnectionInfo>& info) {
         if (const auto tls = std::dynamic_pointer_cast<IceSSL::ConnectionInfo>(layer))
             its.in_handshake = tls->cipher.empty();
         if (const auto ip = std::dynamic_pointer_cast<Ice::IPConnectionInfo>(layer))
-            its.peer = ip->remoteAddress + ":" + std::to_string(ip->remotePort);
+            its.peer = remoteEnd(*ip);
     }
     return its;
 }

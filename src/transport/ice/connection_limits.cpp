@@ -186,15 +186,16 @@ TimePoint ConnectionLimits::look() {
         for (auto& one : seen)
             if (one.peer == Peer::HasSession) one.silent_for = silenceOf(watched.at(one.id).fd);
 
-    const auto verdict = core_.look(seen, now);
+    const auto verdict = core_.look(seen, now, [&](std::uint64_t id) {
+        const std::lock_guard lock(mutex_);
+        const auto& ends = ends_.at(id);
+        const auto* watcher = watcherOf(ends);
+        if (watcher == nullptr || watcher->sessions.state(ends.both) != Peer::Stranger) return false;
+        shutDown(watched.at(id));
+        return true;
+    });
     {
         const std::lock_guard lock(mutex_);
-        for (const auto id : verdict.close) {
-            const auto& ends = ends_.at(id);
-            const auto* watcher = watcherOf(ends);
-            if (watcher != nullptr && watcher->sessions.state(ends.both) == Peer::Stranger)
-                shutDown(watched.at(id));
-        }
         for (const auto id : verdict.silent) {
             const auto& ends = ends_.at(id);
             const auto* watcher = watcherOf(ends);

@@ -35,16 +35,16 @@ ConnectionBounds ConnectionBounds::fittingInto(std::size_t descriptors) const {
     return its;
 }
 
-ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>& connections,
-                                                         TimePoint now) {
+ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>& connections, TimePoint now,
+                                                         const Close& close) {
     Verdict verdict;
     const auto count = [&](const std::string& reason, const std::string& address) {
         const bool room = untold_.size() < kAddressesTold || untold_.contains({reason, address});
         ++untold_[{reason, room ? address : kOtherAddresses}];
     };
-    const auto close = [&](std::uint64_t id, const std::string& address, const std::string& reason) {
-        known_.at(id).closed_as = Peer::Stranger;
-        verdict.close.push_back(id);
+    const auto closeOne = [&](std::uint64_t id, const std::string& address, const std::string& reason) {
+        if (!close(id)) return;
+        known_.at(id).closed = true;
         count(reason, address);
     };
 
@@ -55,15 +55,15 @@ ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>
         count_ += is_new ? 1 : 0;
         auto& known = at->second;
         known.there = true;
-        if (known.closed_as == one.peer || one.peer == Peer::Exempt) continue;
+        if (known.closed || one.peer == Peer::Exempt) continue;
         if (one.peer == Peer::HasSession) {
             if (one.silent_for <= bounds_.silence) continue;
-            known.closed_as = Peer::HasSession;
+            known.closed = true;
             verdict.silent.push_back(one.id);
             count("nothing has come over a session's connection for " + seconds(bounds_.silence),
                   one.address);
         } else if (now - known.since > bounds_.to_log_in) {
-            close(one.id, one.address, "no session in " + seconds(bounds_.to_log_in));
+            closeOne(one.id, one.address, "no session in " + seconds(bounds_.to_log_in));
         } else {
             strangers[groupOf(one.address)].push_back({known.number, one.id, &one.address});
         }
@@ -72,7 +72,7 @@ ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>
 
     std::size_t left = 0;
     const auto closeOldest = [&](std::vector<Stranger>& of, const std::string& reason) {
-        close(of.back().id, *of.back().address, reason);
+        closeOne(of.back().id, *of.back().address, reason);
         of.pop_back();
     };
     for (auto& [address, open] : strangers) {

@@ -2,8 +2,8 @@
 #pragma once
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
-#include <optional>
 #include <string>
 #include <unordered_map>
 #include <utility>
@@ -44,7 +44,6 @@ class ConnectionLimitsCore {
         Duration silent_for{};
     };
     struct Verdict {
-        std::vector<std::uint64_t> close;   ///< of strangers
         std::vector<std::uint64_t> silent;  ///< of sessions
         std::vector<std::string>
             notes;               ///< for the log: at once, and then what has come together in ten seconds
@@ -53,15 +52,17 @@ class ConnectionLimitsCore {
 
     explicit ConnectionLimitsCore(ConnectionBounds bounds) : bounds_(bounds) {}
 
-    /// `connections`: all connections. One that was closed may still be among them in the next calls; it is
-    /// not reported again.
-    Verdict look(const std::vector<Seen>& connections, TimePoint now);
+    /// Closes the connection of a stranger; false: it is none any more, and was spared.
+    using Close = std::function<bool(std::uint64_t id)>;
+    /// `connections`: all connections. One that was closed, or is said to be silent, may still be among them
+    /// in the next calls; it is not closed or reported again.
+    Verdict look(const std::vector<Seen>& connections, TimePoint now, const Close& close);
 
   private:
     struct Known {
         TimePoint since;
         std::uint64_t number = 0;  // in the order of their coming
-        std::optional<Peer> closed_as;
+        bool closed = false;
         bool there = false;
     };
     void tell(Verdict& verdict, TimePoint now);

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <set>
+
 namespace axon::transport {
 namespace {
 
@@ -20,7 +22,19 @@ constexpr ConnectionBounds kBounds{
 
 class Limits : public testing::Test {
   protected:
-    ConnectionLimitsCore::Verdict look() { return core.look(connections, clock.now()); }
+    struct Looked : ConnectionLimitsCore::Verdict {
+        std::vector<std::uint64_t> close;
+    };
+    Looked look() {
+        Looked its;
+        static_cast<ConnectionLimitsCore::Verdict&>(its) =
+            core.look(connections, clock.now(), [&](std::uint64_t id) {
+                if (spared.contains(id)) return false;
+                its.close.push_back(id);
+                return true;
+            });
+        return its;
+    }
     void come(std::uint64_t id, const std::string& address = "10.0.0.1") {
         connections.push_back({id, address, Peer::Stranger, {}});
     }
@@ -28,6 +42,7 @@ class Limits : public testing::Test {
     ManualClock clock;
     ConnectionLimitsCore core{kBounds};
     std::vector<Seen> connections;
+    std::set<std::uint64_t> spared;
 };
 
 TEST_F(Limits, WhoHasNoSessionInTimeIsClosedOnceAndNamed) {
@@ -144,17 +159,31 @@ TEST_F(Limits, ASilentSessionIsClosed) {
                 ElementsAre(HasSubstr("nothing has come over a session's connection for 60 s")));
 }
 
-TEST_F(Limits, WhoLogsInWhileItIsBeingClosedIsWatchedAsASession) {
+TEST_F(Limits, WhoLogsInAsItIsToBeClosedIsSparedAndWatchedAsBefore) {
     come(1);
     look();
     clock.advance(11s);
-    EXPECT_THAT(look().close, ElementsAre(1));
-    // ConnectionLimits asks once more, finds a session, and leaves it open.
-    connections = {{1, "10.0.0.1", Peer::HasSession, 0s}};
-    EXPECT_THAT(look().silent, IsEmpty());
+    spared = {1};  // it asks to log in at this moment
+    const auto verdict = look();
+    EXPECT_THAT(verdict.close, IsEmpty());
+    EXPECT_THAT(verdict.notes, IsEmpty()) << "nothing was closed";
+    spared.clear();
     connections = {{1, "10.0.0.1", Peer::HasSession, 61s}};
     EXPECT_THAT(look().silent, ElementsAre(1));
-    EXPECT_THAT(look().silent, IsEmpty()) << "it is not reported again";
+    connections = {{1, "10.0.0.1", Peer::Stranger, 61s}};
+    EXPECT_THAT(look().close, IsEmpty()) << "it is being ended";
+}
+
+TEST_F(Limits, WhoIsRefusedAfterItWasSparedIsClosed) {
+    come(1);
+    look();
+    clock.advance(11s);
+    spared = {1};
+    look();
+    spared.clear();
+    const auto verdict = look();
+    EXPECT_THAT(verdict.close, ElementsAre(1));
+    EXPECT_THAT(verdict.notes, ElementsAre("1 connection from 10.0.0.1 was closed: no session in 10 s"));
 }
 
 TEST_F(Limits, WhatIsGoneIsForgotten) {

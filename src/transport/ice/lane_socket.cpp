@@ -16,6 +16,7 @@
 
 #include "common/descriptor.hpp"
 #include "datagrams/signal_socket.hpp"
+#include "transport/ice/ip_layer.hpp"
 
 namespace axon::transport {
 namespace {
@@ -44,15 +45,6 @@ bool isBetween(int fd, const sockaddr_in& local, const sockaddr_in& remote) {
     socklen_t size = sizeof type;
     return answers(::getsockname, fd, local) && answers(::getpeername, fd, remote) &&
            ::getsockopt(fd, SOL_SOCKET, SO_TYPE, &type, &size) == 0 && type == SOCK_STREAM;
-}
-
-std::shared_ptr<Ice::IPConnectionInfo> ipOf(const Ice::Connection& connection) {
-    try {
-        for (auto layer = connection.getInfo(); layer; layer = layer->underlying)
-            if (auto ip = std::dynamic_pointer_cast<Ice::TCPConnectionInfo>(layer)) return ip;
-    } catch (const Ice::LocalException&) {  // closed meanwhile
-    }
-    return nullptr;
 }
 
 void sayOnce(const std::vector<std::string>& missing) {

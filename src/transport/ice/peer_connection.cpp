@@ -6,6 +6,7 @@
 #include <string_view>
 
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/ip_layer.hpp"
 #include "transport/ice/known_connections.hpp"
 #include "transport/ice/tls.hpp"
 
@@ -33,16 +34,6 @@ CloseReason reasonOf(const Ice::Connection& connection) {
         return {false, "the connection was lost"};
     }
     return {false, "the connection ended"};
-}
-
-std::shared_ptr<Ice::IPConnectionInfo> ipOf(const Ice::Connection& connection) {
-    try {
-        for (auto layer = connection.getInfo(); layer; layer = layer->underlying) {
-            if (auto ip = std::dynamic_pointer_cast<Ice::IPConnectionInfo>(layer)) return ip;
-        }
-    } catch (const Ice::LocalException&) {  // closed meanwhile
-    }
-    return nullptr;
 }
 
 }  // namespace
@@ -85,16 +76,17 @@ Header PeerConnection::properHead(ice::Header&& head, const Ice::Current& curren
 
 std::string DirectConnection::peerOf(const Ice::Connection& connection) {
     const auto ip = ipOf(connection);
-    return ip ? ip->remoteAddress + ":" + std::to_string(ip->remotePort) : "an unknown address";
+    return ip ? remoteEnd(*ip) : "an unknown address";
 }
 
 std::string DirectConnection::localOf(const Ice::Connection& connection) {
     const auto ip = ipOf(connection);
-    return ip ? ip->localAddress + ":" + std::to_string(ip->localPort) : std::string();
+    return ip ? localEnd(*ip) : std::string();
 }
 
 std::string DirectConnection::endsOf(const Ice::Connection& connection) {
-    return bothEnds(peerOf(connection), localOf(connection));
+    const auto ip = ipOf(connection);
+    return ip ? bothEnds(remoteEnd(*ip), localEnd(*ip)) : std::string();
 }
 
 std::string DirectConnection::remoteAddressOf(const Ice::Connection& connection) {

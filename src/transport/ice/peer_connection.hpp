@@ -40,7 +40,7 @@ class PeerConnection {
     virtual const void* key() const = 0;
     /// "127.0.0.1:50122", for logs.
     virtual std::string peer() const = 0;
-    /// What no other connection that is open has (bothEnds()); empty behind a router.
+    /// What no other connection that is open has (bothEnds()); empty behind a router, and once it has closed.
     virtual std::string ends() const = 0;
     /// The address of this side that the peer connected to; empty when not TCP.
     virtual std::string localAddress() const = 0;
@@ -73,6 +73,7 @@ class DirectConnection final : public PeerConnection {
     /// The two ends of a connection as "127.0.0.1:50122".
     static std::string peerOf(const Ice::Connection& connection);
     static std::string localOf(const Ice::Connection& connection);
+    /// Both in one (bothEnds()); empty once it has closed.
     static std::string endsOf(const Ice::Connection& connection);
     /// The peer's own address; empty when not TCP.
     static std::string remoteAddressOf(const Ice::Connection& connection);

@@ -13,6 +13,7 @@
 #include "certificates/certificate.hpp"
 #include "certificates/folder.hpp"
 #include "common/rate_limit.hpp"
+#include "transport/ice/ip_layer.hpp"
 
 namespace axon::transport {
 namespace {
@@ -185,15 +186,6 @@ bool speaksOlderTls(const std::string& protocols, std::string least) {
     return !least.empty() && !least.ends_with("1_3");  // tls1_3 and tlsv1_3
 }
 
-/// The other end and the one here.
-std::pair<std::string, std::string> endsOf(const IceSSL::ConnectionInfo& info) {
-    for (auto layer = info.underlying; layer; layer = layer->underlying)
-        if (const auto ip = std::dynamic_pointer_cast<Ice::IPConnectionInfo>(layer))
-            return {ip->remoteAddress + ":" + std::to_string(ip->remotePort),
-                    ip->localAddress + ":" + std::to_string(ip->localPort)};
-    return {"an unknown address", {}};
-}
-
 }  // namespace
 
 std::optional<PeerCertificate> certificateOf(const Ice::Connection& connection) {
@@ -310,9 +302,9 @@ void judgeCertificates(const std::shared_ptr<Ice::Communicator>& communicator,
     if (!plugin) return;
     plugin->setCertificateVerifier(
         [accept = std::move(accept)](const std::shared_ptr<IceSSL::ConnectionInfo>& info) {
-            auto [peer, local] = endsOf(*info);
-            return accept(
-                {info->incoming, info->adapterName, std::move(peer), std::move(local), verifiedOf(*info)});
+            const auto ip = ipOf(info->underlying);
+            return accept({info->incoming, info->adapterName, ip ? remoteEnd(*ip) : "an unknown address",
+                           ip ? localEnd(*ip) : std::string(), verifiedOf(*info)});
         });
 }
 

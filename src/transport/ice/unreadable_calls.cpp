@@ -9,8 +9,9 @@
 
 namespace axon::transport {
 
-UnreadableCalls::UnreadableCalls(std::shared_ptr<Ice::Object> servant, std::string peer, Foreign foreign)
-    : servant_(std::move(servant)), peer_(std::move(peer)), foreign_(std::move(foreign)) {}
+UnreadableCalls::UnreadableCalls(std::shared_ptr<Ice::Object> servant, std::string peer, const void* over,
+                                 Foreign foreign)
+    : servant_(std::move(servant)), peer_(std::move(peer)), over_(over), foreign_(std::move(foreign)) {}
 
 UnreadableCalls::~UnreadableCalls() {
     if (count_ > 1) spdlog::warn("{}: {} calls could not be read", peer_, count_.load());
@@ -33,10 +34,8 @@ bool UnreadableCalls::dispatch(Ice::Request& request) {
 }
 
 bool UnreadableCalls::isForeign(const Ice::Current& current) const {
-    if (!foreign_ || !current.con) return false;
-    const auto caller = DirectConnection::peerOf(*current.con);
-    if (caller == peer_) return false;
-    foreign_(caller);
+    if (!foreign_ || !current.con || current.con.get() == over_) return false;
+    foreign_(DirectConnection::peerOf(*current.con));
     return true;
 }
 

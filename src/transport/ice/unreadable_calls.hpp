@@ -20,8 +20,10 @@ class UnreadableCalls final : public Ice::DispatchInterceptor {
     /// The address of who has called.
     using Foreign = std::function<void(const std::string& peer)>;
 
-    /// `peer`: for the log, and of a session without a router its address; `foreign` null: not told.
-    UnreadableCalls(std::shared_ptr<Ice::Object> servant, std::string peer, Foreign foreign);
+    /// `peer`: for the log. `over`: the session's own connection, an Ice::Connection that lives as long as
+    /// the servant. `foreign` null, as behind a router: not told.
+    UnreadableCalls(std::shared_ptr<Ice::Object> servant, std::string peer, const void* over,
+                    Foreign foreign);
     ~UnreadableCalls() override;
     bool dispatch(Ice::Request& request) override;
 
@@ -32,6 +34,7 @@ class UnreadableCalls final : public Ice::DispatchInterceptor {
 
     const std::shared_ptr<Ice::Object> servant_;
     const std::string peer_;
+    const void* const over_;
     const Foreign foreign_;
     std::atomic<std::uint64_t> count_{0};
 };

@@ -225,8 +225,8 @@ std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
         foreign = [&lane](const std::string& caller) {
             lane.noteCall(caller, "the session belongs to another connection");
         };
-    auto proxy = Ice::uncheckedCast<SessionPrx>(
-        adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer(), std::move(foreign))));
+    auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(
+        std::make_shared<UnreadableCalls>(servant, peer->peer(), peer->key(), std::move(foreign))));
     peer->onClosed([&lane, servant, key = peer->key(), adapter,
                     id = proxy->ice_getIdentity()](const CloseReason& reason) {
         lane.sessions.remove(key);
@@ -273,12 +273,13 @@ void openSession(SessionLane<typename Kind::Core, typename Kind::Session>& lane,
         }
     };
     if (lane.logins == nullptr) return answer(LoggedIn{});
-    lane.sessions.asks(peer->ends());
-    (lane.logins->*Kind::kVerify)(
-        std::move(request), [&lane, ends = peer->ends(), answer = std::move(answer)](Result<LoggedIn> who) {
-            answer(std::move(who));
-            lane.sessions.answered(ends);
-        });
+    const auto ends = peer->ends();
+    lane.sessions.asks(ends);
+    (lane.logins->*Kind::kVerify)(std::move(request),
+                                  [&lane, ends, answer = std::move(answer)](Result<LoggedIn> who) {
+                                      answer(std::move(who));
+                                      lane.sessions.answered(ends);
+                                  });
 }
 
 }  // namespace axon::transport

@@ -32,7 +32,7 @@ class OpenSessions {
                            "this connection has a session already; open another connection for another one",
                            {}};
         }
-        if (!ends.empty()) servants_[ends] = servant;
+        if (!ends.empty()) servants_[ends] = {connection.key(), servant};
         opening_.push_back({clock_.now() + kSetUpTime, servant});
         return {};
     }
@@ -41,7 +41,9 @@ class OpenSessions {
         const std::lock_guard lock(mutex_);
         const auto found = connections_.find(connection);
         if (found == connections_.end()) return;
-        servants_.erase(found->second);
+        // The next connection may have the same ends before the end of this one is told.
+        const auto its = servants_.find(found->second);
+        if (its != servants_.end() && its->second.connection == connection) servants_.erase(its);
         connections_.erase(found);
     }
 
@@ -85,17 +87,21 @@ class OpenSessions {
         TimePoint deadline;
         std::weak_ptr<Servant> servant;
     };
+    struct Served {
+        const void* connection;
+        std::weak_ptr<Servant> servant;
+    };
     const Clock& clock_;
     std::shared_ptr<Servant> servantOf(const std::string& ends) {
         const std::lock_guard lock(mutex_);
         const auto found = servants_.find(ends);
-        return found == servants_.end() ? nullptr : found->second.lock();
+        return found == servants_.end() ? nullptr : found->second.servant.lock();
     }
 
     std::mutex mutex_;
     // Guarded by mutex_: of each connection (PeerConnection::key()) its ends.
     std::unordered_map<const void*, std::string> connections_;
-    std::unordered_map<std::string, std::weak_ptr<Servant>> servants_;  // guarded by mutex_; by ends
+    std::unordered_map<std::string, Served> servants_;  // guarded by mutex_; by ends
     KnownConnections asking_;
     std::deque<Opening> opening_;  // guarded by mutex_, earliest first
 };

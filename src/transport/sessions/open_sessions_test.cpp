@@ -73,5 +73,13 @@ TEST_F(FromOnePort, TheEndOfOneSessionLeavesTheOther) {
     EXPECT_EQ(other->ended, "");
 }
 
+TEST_F(FromOnePort, AConnectionWithTheEndsOfOneThatHasEndedKeepsItsSession) {
+    const Connection again{"10.0.0.7:50122", "10.0.0.1:10411"};
+    EXPECT_TRUE(sessions.add(first, session).ok());
+    EXPECT_TRUE(sessions.add(again, other).ok()) << "the end of the first is told a little later";
+    sessions.remove(first.key());
+    EXPECT_EQ(sessions.stateOf(again.ends()), Peer::HasSession);
+}
+
 }  // namespace
 }  // namespace axon::transport

@@ -350,9 +350,13 @@ class DataDoor::Connections : public std::enable_shared_from_this<Connections> {
             if (connection->isStranger())
                 strangers.push_back({id, connection->address, ConnectionLimitsCore::Peer::Stranger, {}});
         const auto now = clock_.now();
-        const auto verdict = limits_.look(strangers, now);
+        std::vector<std::uint64_t> close;
+        const auto verdict = limits_.look(strangers, now, [&close](std::uint64_t id) {
+            close.push_back(id);
+            return true;
+        });
         for (const auto& line : verdict.notes) refusals_->closed(entity, line);
-        for (const auto id : verdict.close) {
+        for (const auto id : close) {
             look_until_ = now + kTold;
             if (const auto found = connections_.find(id); found != connections_.end())
                 std::shared_ptr(found->second)->end("it has no path");
