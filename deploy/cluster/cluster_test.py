@@ -88,6 +88,14 @@ class Configuration(unittest.TestCase):
                 self.assertEqual(said.count(" -p "), len(servers))
             self.assertTrue(self.value(file, "Glacier2.Filter.Identity.Accept"), "denied by default")
 
+    def test_a_server_is_drawn_for_each_session_and_nothing_for_a_message(self):
+        files = configuration.files(dataclasses.replace(self.plan, tls=True), PASSWORDS)
+        for file in ("glacier2clients.cfg", "glacier2entities.cfg"):
+            self.assertEqual(configuration.read_property(files[file], "Ice.Default.EndpointSelection"), "Ordered")
+            for key in ("SessionManager", "PermissionsVerifier", "SSLSessionManager", "SSLPermissionsVerifier"):
+                self.assertEqual(configuration.read_property(files[file], f"Glacier2.{key}.ConnectionCached"), "0")
+                self.assertEqual(configuration.read_property(files[file], f"Glacier2.{key}.EndpointSelection"), "Random")
+
     def test_servers_know_the_topics_the_users_and_their_neighbours(self):
         for name, file in (("fe1", "frontendserver-1.cfg"), ("es2", "entityserver-2.cfg")):
             self.assertEqual(self.value(file, "Server.Name"), name)

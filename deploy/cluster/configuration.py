@@ -330,6 +330,10 @@ Glacier2.SessionManager={proxies("SessionManager")}
 # Choose another server each time, so that the sessions are spread over them:
 Glacier2.PermissionsVerifier.ConnectionCached=0
 Glacier2.SessionManager.ConnectionCached=0
+Glacier2.PermissionsVerifier.EndpointSelection=Random
+Glacier2.SessionManager.EndpointSelection=Random
+# For messages there is nothing to choose; otherwise a random number is drawn for each:
+Ice.Default.EndpointSelection=Ordered
 {router_tls(plan, proxies, name) if plan.tls else ""}# A client of the router can call its own session and nothing else:
 Glacier2.Filter.Identity.Accept={instance}/none
 # Seconds of silence after which a connection and its session end, which is also how long a log-in may take, and a step of
@@ -452,6 +456,8 @@ Glacier2.SSLPermissionsVerifier={proxies("SSLPermissionsVerifier")}
 Glacier2.SSLSessionManager={proxies("SSLSessionManager")}
 Glacier2.SSLPermissionsVerifier.ConnectionCached=0
 Glacier2.SSLSessionManager.ConnectionCached=0
+Glacier2.SSLPermissionsVerifier.EndpointSelection=Random
+Glacier2.SSLSessionManager.EndpointSelection=Random
 {tls(plan, certificate_of(plan, name))}# The servers of this router, and nobody else, are called, and may send messages for its {"clients" if name.startswith("client") else "entities"}:
 IceSSL.TrustOnly.Client={servers}
 IceSSL.TrustOnly.Server.Glacier2.Server={servers}

@@ -1130,7 +1130,7 @@ def main():
     try:
         honest = siege.honest
         states = {entity: honest.client.statuses[entity].state for entity in honest.entities}
-        honest.await_answers(150)
+        honest.await_answers(150 if arguments.quick else 1500)
         quiet = list(honest.times)
         for index, port in enumerate(siege.ports):
             its, failed = check_port(siege, port, index)
