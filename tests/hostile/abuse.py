@@ -1053,6 +1053,8 @@ def check_port(siege, port, index):
         first = number < len(rows)
         kind, function, _ = rows[number] if first else order[number % len(order)]
         if first and not arguments.quick:
+            if number == 0:
+                siege.honest.await_answers(120)  # a second: the log has lines left again, after what ended the port before
             siege.honest.await_answers(12)
         seed = f"{arguments.seed}/{port.name}/{kind}/{number}"
         rng = random.Random(seed)
