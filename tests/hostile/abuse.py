@@ -139,7 +139,9 @@ class Honest:
     """Who holds the robots, and asks them for their status: the answers' times are what an attack may not change."""
 
     def __init__(self, client, entities):
-        self.client, self.entities, self.times, self.failed = client, entities, [], []
+        self.client, self.entities, self.failed = client, entities, []
+        self.quiet, self.attacked = [], []  # seconds
+        self.times = self.attacked  # those of now
         self.ended = threading.Event()
         self.thread = threading.Thread(target=self.run, daemon=True)
         self.thread.start()
@@ -158,10 +160,12 @@ class Honest:
                 with self.client.news:
                     self.client.arrived[:] = [one for one in self.client.arrived if not isinstance(one[2], messages_pb2.ToClient)][-100:]
 
-    def await_answers(self, count):
-        """As many more; in about a hundredth of a second each."""
-        until = len(self.times) + count
-        wait_until(lambda: len(self.times) >= until or self.failed, "the honest client gets answers", 60)
+    def rest(self, count):
+        """Without an attack until as many more have come; in about a hundredth of a second each."""
+        until = len(self.quiet) + count
+        self.times = self.quiet
+        wait_until(lambda: len(self.quiet) >= until or self.failed, "the honest client gets answers", 60 + count / 10)
+        self.times = self.attacked
 
     def end(self):
         self.ended.set()
@@ -1054,8 +1058,8 @@ def check_port(siege, port, index):
         kind, function, _ = rows[number] if first else order[number % len(order)]
         if first and not arguments.quick:
             if number == 0:
-                siege.honest.await_answers(120)  # a second: the log has lines left again, after what ended the port before
-            siege.honest.await_answers(12)
+                siege.honest.rest(120)  # a second: the log has lines left again, after what ended the port before
+            siege.honest.rest(12)
         seed = f"{arguments.seed}/{port.name}/{kind}/{number}"
         rng = random.Random(seed)
         figures[kind] += 1
@@ -1132,8 +1136,7 @@ def main():
     try:
         honest = siege.honest
         states = {entity: honest.client.statuses[entity].state for entity in honest.entities}
-        honest.await_answers(150 if arguments.quick else 1500)
-        quiet = list(honest.times)
+        honest.rest(150 if arguments.quick else 1500)
         for index, port in enumerate(siege.ports):
             its, failed = check_port(siege, port, index)
             if its:
@@ -1146,8 +1149,8 @@ def main():
                 if not station.alive():
                     failures.append(f"after {port.name}: {station.process.name} has ended")
                     print("    " + failures[-1], flush=True)
-        attacked = honest.times[len(quiet):]
         honest.end()
+        quiet, attacked = honest.quiet, honest.attacked
         if honest.failed or honest.client.closed.is_set():
             failures.append(f"the honest client: {honest.failed or 'its session has ended'}")
         for entity, state in states.items():
@@ -1162,6 +1165,10 @@ def main():
             pathlib.Path(arguments.json).write_text(json.dumps({
                 "ports": figures, "failures": failures, "quiet_p99_ms": p99(quiet), "p99_ms": p99(attacked), "n_quiet": len(quiet), "n": len(attacked)}, indent=1))
         return 1 if failures else 0
+    except Failed as error:
+        failures.append(str(error))
+        print(error, file=sys.stderr)
+        return 1
     finally:
         siege.honest.ended.set()
         siege.honest.client.destroy()

@@ -44,9 +44,14 @@ void merge(std::vector<StepReport>& steps, StepReport changed) {
     const auto place = std::lower_bound(steps.begin(), steps.end(), changed.step,
                                         [](const StepReport& a, int step) { return a.step < step; });
     if (place != steps.end() && place->step == changed.step) {
-        // What the service says of it does not travel.
+        // What the service says of it does not travel; nor, in a record that was too large, what is long.
         changed.compensation = place->compensation;
         changed.called = place->called;
+        if (changed.tries == place->tries) {
+            if (changed.parameters.empty()) changed.parameters = std::move(place->parameters);
+            if (changed.results.empty()) changed.results = std::move(place->results);
+            if (changed.feedback.empty()) changed.feedback = std::move(place->feedback);
+        }
         *place = std::move(changed);
     } else {
         steps.insert(place, std::move(changed));
@@ -420,14 +425,20 @@ void Runs::onHistory(const std::string& entity, const proto::RunHistory& history
         const auto state = runStateFromProto(record.state());
         if (!run || !state || open_.count(*run) == 0) continue;
         std::erase(pending->as<request::AskAfterRuns>().runs, *run);
-        if (!isFinal(*state)) continue;  // it lives, and the master tells of it
+        parts_.requests.settle<request::StartRun>(*run, {});
         auto& report = runs_.at(*run).report;
         const auto recorded = fromProto(record);
         for (const auto& step : recorded.steps) merge(report.steps, step);
         report.elapsed = recorded.duration;
-        if (*state == RunState::Succeeded) report.progress = 1;
-        finish(*run, *state, recorded.reason);
-        pending = parts_.requests.find(key);  // finishing may end the lease, and this request with it
+        if (isFinal(*state)) {
+            if (*state == RunState::Succeeded) report.progress = 1;
+            finish(*run, *state, recorded.reason);
+        } else {  // it lives, and the master tells what comes
+            report.state = *state;
+            report.reason = recorded.reason;
+            tell(*run);
+        }
+        pending = parts_.requests.find(key);  // telling may end the lease, and this request with it
         if (pending == nullptr) return;
     }
     if (pending->as<request::AskAfterRuns>().runs.empty()) parts_.requests.take(key);

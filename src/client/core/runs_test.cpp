@@ -441,7 +441,12 @@ TEST_F(RunsTest, AfterALostConnectionTheMasterSaysHowItEnded) {
 TEST_F(RunsTest, ARunThatIsStillUnderWayAfterALostConnectionStaysSoHoweverQuietItIs) {
     takeBoth(5s);
     const auto id = launch().value();
-    tell(1, event(id, 1, proto::RUN_RUNNING));
+    auto running = event(id, 1, proto::RUN_RUNNING);
+    auto& began = *running.add_steps();
+    began.set_step(0);
+    began.set_state(proto::TASK_RUNNING);
+    began.add_params()->set_name("Distance");
+    tell(1, running);
     core.onDisconnected("cut");
     connect();
     for (const auto& message : link.take()) {
@@ -455,13 +460,46 @@ TEST_F(RunsTest, ARunThatIsStillUnderWayAfterALostConnectionStaysSoHoweverQuietI
     answer.mutable_run_history()->set_request_id(asked[0].body.run_history().request_id());
     auto& record = *answer.mutable_run_history()->add_runs();
     record.set_run_id(id.bytes());
+    record.set_state(proto::RUN_HELD);
+    record.set_duration_s(2.5);
+    record.mutable_reason()->set_code(proto::TIMED_OUT);
+    auto& step = *record.add_steps();  // too large to have its parameters
+    step.set_step(0);
+    step.set_state(proto::TASK_SUCCEEDED);
+    fromEntity(1, answer);
+    EXPECT_EQ(report().state, RunState::Held) << "meanwhile";
+    EXPECT_EQ(report().reason.code, RefusalCode::TimedOut);
+    EXPECT_EQ(report().elapsed, Seconds(2.5));
+    EXPECT_EQ(report().steps[0].state, TaskState::Succeeded) << "of which the master tells once";
+    EXPECT_THAT(report().steps[0].parameters, SizeIs(1));
+    for (int i = 0; i < 20; ++i) advance(1s);
+    EXPECT_EQ(report().state, RunState::Held) << report().reason.message;
+    for (const auto& message : link.take()) EXPECT_FALSE(message.body.has_run_history()) << "it has answered";
+    tell(1, event(id, 2, proto::RUN_SUCCEEDED));
+    EXPECT_EQ(report().state, RunState::Succeeded);
+}
+
+TEST_F(RunsTest, ARunThatLivesIsNotCancelledBecauseItsFirstEventWasLost) {
+    takeBoth(5s);
+    const auto id = launch().value();
+    link.sent.clear();
+    core.onProfile(Presence::Left, {uuid(1), "PeopleBot#1", "ROBOT", "MOBILE"}, {});
+    join(1, "PeopleBot#1");
+    for (const auto& message : link.take()) {
+        if (message.body.has_check_out()) grantWithRoot(message, root, 4, 5s);
+    }
+    const auto asked = link.take();
+    ASSERT_THAT(asked, SizeIs(1));
+    ASSERT_TRUE(asked[0].body.has_run_history());
+    proto::ToClient answer;
+    answer.mutable_run_history()->set_request_id(asked[0].body.run_history().request_id());
+    auto& record = *answer.mutable_run_history()->add_runs();
+    record.set_run_id(id.bytes());
     record.set_state(proto::RUN_RUNNING);
     fromEntity(1, answer);
     for (int i = 0; i < 20; ++i) advance(1s);
     EXPECT_EQ(report().state, RunState::Running) << report().reason.message;
-    for (const auto& message : link.take()) EXPECT_FALSE(message.body.has_run_history()) << "it has answered";
-    tell(1, event(id, 2, proto::RUN_SUCCEEDED));
-    EXPECT_EQ(report().state, RunState::Succeeded);
+    for (const auto& message : link.take()) EXPECT_FALSE(message.body.has_task_control());
 }
 
 TEST_F(RunsTest, AMasterThatDoesNotSayHowItEndedLeavesItUnknown) {

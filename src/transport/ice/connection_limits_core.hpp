@@ -28,8 +28,8 @@ struct ConnectionBounds {
 
 /// Decides which connections are closed: those that have had no session for too long, the oldest of those
 /// without one where there are too many of an address (or in all: of the address that has most), and those of
-/// sessions over which nothing has come for too long. I/O-free and not thread-safe; ConnectionLimits is its
-/// rim.
+/// sessions over which nothing has come for too long. No I/O but what `Close` does; not thread-safe. For
+/// ConnectionLimits, and for the data port of direct paths.
 class ConnectionLimitsCore {
   public:
     enum class Peer : std::uint8_t {
@@ -52,7 +52,9 @@ class ConnectionLimitsCore {
 
     explicit ConnectionLimitsCore(ConnectionBounds bounds) : bounds_(bounds) {}
 
-    /// Closes the connection of a stranger; false: it is none any more, and was spared.
+    /// Closes the connection of a stranger. Called in look(), once at most for each connection, and must not
+    /// call look(). False: the peer is no stranger any more; its connection stays open and is looked at
+    /// again.
     using Close = std::function<bool(std::uint64_t id)>;
     /// `connections`: all connections. One that was closed, or is said to be silent, may still be among them
     /// in the next calls; it is not closed or reported again.

@@ -45,8 +45,20 @@ function merged(steps: readonly StepReport[], changed: readonly StepReport[]): r
     const all = new Map(steps.map((step) => [step.step, step]));
     for (const one of changed) {
         const known = all.get(one.step);
-        // What the service says of it does not travel.
-        all.set(one.step, known === undefined ? one : { ...one, compensation: known.compensation, called: known.called });
+        if (known === undefined) {
+            all.set(one.step, one);
+            continue;
+        }
+        // What the service says of it does not travel; nor, in a record that was too large, what is long.
+        const again = one.tries !== known.tries;
+        all.set(one.step, {
+            ...one,
+            compensation: known.compensation,
+            called: known.called,
+            parameters: again || one.parameters.size > 0 ? one.parameters : known.parameters,
+            results: again || one.results.size > 0 ? one.results : known.results,
+            feedback: again || one.feedback !== "" ? one.feedback : known.feedback,
+        });
     }
     return [...all.values()].sort((a, b) => a.step - b.step);
 }
@@ -322,12 +334,18 @@ export class Runs {
             const state = runStateOf(record.state);
             if (id === undefined || state === undefined || !this.open.has(id)) continue;
             pending.what.runs.delete(id);
-            if (!isFinalRun(state)) continue; // it lives, and the master tells of it
+            this.parts.requests.settle("startRun", id);
             const entry = this.runs.get(id) as Entry;
             const recorded = toRunRecord(record);
             const steps = merged(entry.report.steps, recorded.steps.filter(({ step }) => step >= 0 && step < STEPS_MAX));
             entry.report = { ...entry.report, steps, elapsedMs: recorded.durationMs, progress: state === "SUCCEEDED" ? 1 : entry.report.progress };
-            this.finish(id, state, recorded.reason);
+            if (isFinalRun(state)) {
+                this.finish(id, state, recorded.reason);
+            } else {
+                // It lives, and the master tells what comes.
+                entry.report = { ...entry.report, state, reason: recorded.reason };
+                this.tell(id, entry);
+            }
         }
         if (pending.what.runs.size === 0) this.parts.requests.take("askAfterRuns", request);
     }
