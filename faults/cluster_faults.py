@@ -47,7 +47,7 @@ import processes  # noqa: E402
 from configuration import read_property  # noqa: E402
 from laboratory import Failed, Laboratory, sockets_of, wait_until  # noqa: E402
 
-STOP_MS = 250 + 100  # the longest watchdog of a hop while a task runs, and what is allowed on top
+WATCHDOG_MS, ON_TOP_MS = 250, 100  # that of each hop while a task runs, unless --watchdog says another, and what is allowed on top
 PATIENCE_S = 3.0
 USABLE_S = 5.0
 READY_S = 60
@@ -127,7 +127,7 @@ def is_connected(pid, port):
 class Robot:
     """A process of cluster_robot.cpp: it reports when its stop callback was called."""
 
-    def __init__(self, lab, number):
+    def __init__(self, lab, number, watchdog):
         self.name = f"robot-{number}"
         folder = lab.folder / self.name
         shutil.copytree(ROOT / "examples" / "01_hello_entity", folder)
@@ -142,7 +142,8 @@ class Robot:
                                                 start_new_session=True)
         threading.Thread(target=self.listen, daemon=True).start()
         lab.ports = f"{low}-{low + 3}"
-        self.manager = lab.start_manager("", "--state", folder / "state")
+        (folder / "manager.cfg").write_text(f"Axon.WatchdogBusyMs = {watchdog}\n")
+        self.manager = lab.start_manager("", "--state", folder / "state", "--config", folder / "manager.cfg")
 
     def listen(self):
         for line in self.application.stdout:
@@ -259,19 +260,21 @@ class Run:
     def __init__(self, options, environment):
         self.options = options
         self.random = random.Random(options.seed)
+        self.stop_s = (options.watchdog + ON_TOP_MS) / 1000
         self.probe = HostProbe()
         routers, servers = options.routers, {"fe": options.front_ends, "es": options.entity_servers}
         self.lab = Laboratory(options.bin, application="Greeter", environment=environment, layout=machines.one_for_each(
             "icegridregistry", "icegridregistry2", *(f"icestorm{n}" for n in (1, 2, 3)),
             *(f"{kind}{n}" for kind, most in servers.items() for n in range(1, most + 1)),
             *(f"{whom}-router{n if n > 1 else ''}" for whom in ("client", "entity") for n in range(1, routers + 1))))
+        self.lab.front_end_lines = f"FrontEndServer.WatchdogBusyMs = {options.watchdog}\n"
         self.robots, self.clients, self.other = [], [], None
 
     def start(self):
         self.lab.start_cluster(shape=("--base-port", 0, "--front-ends", self.options.front_ends,
                                       "--entity-servers", self.options.entity_servers, "--routers", self.options.routers))
         for group in in_groups(range(1, self.options.entities + 1)):
-            self.robots += [Robot(self.lab, number) for number in group]
+            self.robots += [Robot(self.lab, number, self.options.watchdog) for number in group]
             wait_until(lambda: len(self.lab.entities()) == len(self.robots), "all robots are there", READY_S)
         self.names = [robot.name for robot in self.robots]
         python = self.options.bin.resolve().parent / "python"
@@ -419,7 +422,7 @@ class Run:
             stop = robot.first_stop(begin) if robot.name in spared else None
             if not stop:
                 continue
-            if self.probe.overlap_ms(stop[0] - STOP_MS / 1000, stop[0]) > STALL_MS:
+            if self.probe.overlap_ms(stop[0] - self.stop_s, stop[0]) > STALL_MS:
                 report.disturbed_beside_stall += 1
             else:
                 report.violation(f"{robot.name} stopped ({stop[1]}) {(stop[0] - begin) * 1000:.0f} ms after {victim} was harmed, which had nothing to do with it")
@@ -429,8 +432,8 @@ class Run:
         def wait_for(names, until):
             while not all(robot.first_stop(begin) for robot in self.robots if robot.name in names) and time.monotonic() < until:
                 time.sleep(0.002)
-        wait_for(self.names, harmed + STOP_MS / 1000 + READ_S)
-        wait_for(must, harmed + STOP_MS / 1000 + PATIENCE_S)
+        wait_for(self.names, harmed + self.stop_s + READ_S)
+        wait_for(must, harmed + self.stop_s + PATIENCE_S)
         going = [robot for robot in self.robots if robot.name not in must and not robot.first_stop(begin)]
         drills = dict(zip((robot.name for robot in going), self.for_each(going, lambda robot: robot.client.does("drill", robot.name))))
         wait_for({name for name, refused in drills.items() if refused}, time.monotonic() + READ_S)  # they may have stopped in time
@@ -441,9 +444,9 @@ class Run:
                 ms = max(0.0, stop[0] - harmed) * 1000
                 report.stops_ms.append(ms)
                 report.causes[stop[1]] = report.causes.get(stop[1], 0) + 1
-                if ms > STOP_MS:
+                if ms > self.stop_s * 1000:
                     report.late += 1
-                    if ms - self.probe.overlap_ms(harmed, stop[0]) <= STOP_MS:
+                    if ms - self.probe.overlap_ms(harmed, stop[0]) <= self.stop_s * 1000:
                         report.late_beside_stall += 1
                     else:
                         report.violation(f"{robot.name} stopped {ms:.0f} ms after {victim} was harmed")
@@ -557,6 +560,8 @@ def main():
     parser.add_argument("--entity-servers", type=int, default=2)
     parser.add_argument("--routers", type=int, default=2, help="for clients, and as many for Entity Managers")
     parser.add_argument("--seed", type=int, default=1, help="seed that chooses moments and programs (%(default)s)")
+    parser.add_argument("--watchdog", type=int, default=WATCHDOG_MS, metavar="MS",
+                        help="of each hop while a task runs; heartbeats come five times in it (%(default)s)")
     parser.add_argument("--json", type=pathlib.Path, help="write every latency to this file")
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "release" / "bin", help="folder of the programs")
     options = parser.parse_args()
@@ -576,6 +581,8 @@ def main():
             parser.error(f"{name}: another program is to take over; expected {option} 2 or more")
     if not (1 <= options.entities <= ENTITIES_MAX and 1 <= options.clients <= CLIENTS_MAX) or options.trials < 1:
         parser.error(f"expected --entities 1 to {ENTITIES_MAX}, --clients 1 to {CLIENTS_MAX} and at least one trial")
+    if not 50 <= options.watchdog <= 2000:
+        parser.error("expected --watchdog 50 to 2000")
     if not (python := options.bin.resolve().parent / "python" / "axon").exists():
         parser.error(f"{python} does not exist; fix: build with AXON_PYTHON=ON")
     if not (robot := options.bin / "cluster-robot").exists():
@@ -594,7 +601,7 @@ def main():
     if options.json:
         options.json.write_text(json.dumps({
             "machine": {"system": platform.platform(), "cores": os.cpu_count()}, "seed": options.seed,
-            "entities": options.entities, "clients": options.clients, "front_ends": options.front_ends, "entity_servers": options.entity_servers, "routers": options.routers,
+            "watchdog_ms": options.watchdog, "entities": options.entities, "clients": options.clients, "front_ends": options.front_ends, "entity_servers": options.entity_servers, "routers": options.routers,
             "host_stalls": stalls, "results": [report.as_dict() for report in reports]}, indent=1) + "\n")
     return 1 if broken else 0
 

@@ -178,8 +178,14 @@ class Cluster(Programs):
         return text
 
     def up(self):
+        first = not (self.folder / "running.json").exists()
         self.do("up", *self.shape)
         self.status = json.loads(self.do("status", "--json"))
+        if first and self.lab.front_end_lines:
+            for file in self.folder.glob("frontendserver-*.cfg"):
+                file.write_text(file.read_text() + self.lab.front_end_lines)
+            for name in self.names("fe"):
+                self.do("restart", name)
 
     def record(self, name):
         """Of the process of that program, for processes.strike() of deploy/cluster."""
@@ -216,6 +222,7 @@ class Laboratory:
             machines.enter()
             self.layout = layout or machines.THREE
         self.server = None
+        self.front_end_lines = ""  # of a cluster or machines, in the configuration of each front-end server
         self.bin = pathlib.Path(programs).resolve()
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix="axon-"))
         self.application = application

@@ -133,6 +133,8 @@ class Machines(laboratory.Programs):
         application = self.here(plan.host(configuration.REGISTRY)) / "icegrid.xml"
         application.write_text(application.read_text().replace(f'"{hosts.PROGRAMS}"', f'"{self.lab.bin}"'))
         installed, built = (configuration.Place("", programs, "").guard()[0] for programs in (hosts.PROGRAMS, self.lab.bin))
+        for file in (self.folder / "out").glob("*/frontendserver-*.cfg"):
+            file.write_text(file.read_text() + self.lab.front_end_lines)
         for file in (self.folder / "out").glob("*/glacier2*.cfg"):
             file.write_text(file.read_text().replace(str(installed), str(built)))
         users = self.folder / "users.cfg"
