@@ -47,7 +47,8 @@ import processes  # noqa: E402
 from configuration import read_property  # noqa: E402
 from laboratory import Failed, Laboratory, sockets_of, wait_until  # noqa: E402
 
-WATCHDOG_MS, ON_TOP_MS = 250, 100  # that of each hop while a task runs, unless --watchdog says another, and what is allowed on top
+WATCHDOG_MS = 250  # of each hop while a task runs, unless --watchdog says another
+ON_TOP_MS = 100
 PATIENCE_S = 3.0
 USABLE_S = 5.0
 READY_S = 60
@@ -267,7 +268,8 @@ class Run:
             "icegridregistry", "icegridregistry2", *(f"icestorm{n}" for n in (1, 2, 3)),
             *(f"{kind}{n}" for kind, most in servers.items() for n in range(1, most + 1)),
             *(f"{whom}-router{n if n > 1 else ''}" for whom in ("client", "entity") for n in range(1, routers + 1))))
-        self.lab.front_end_lines = f"FrontEndServer.WatchdogBusyMs = {options.watchdog}\n"
+        if options.watchdog != WATCHDOG_MS:
+            self.lab.front_end_lines = f"FrontEndServer.WatchdogBusyMs = {options.watchdog}\n"
         self.robots, self.clients, self.other = [], [], None
 
     def start(self):
@@ -561,7 +563,7 @@ def main():
     parser.add_argument("--routers", type=int, default=2, help="for clients, and as many for Entity Managers")
     parser.add_argument("--seed", type=int, default=1, help="seed that chooses moments and programs (%(default)s)")
     parser.add_argument("--watchdog", type=int, default=WATCHDOG_MS, metavar="MS",
-                        help="of each hop while a task runs; heartbeats come five times in it (%(default)s)")
+                        help="silence in which a server, an Entity Manager or a client is lost while a task runs (%(default)s)")
     parser.add_argument("--json", type=pathlib.Path, help="write every latency to this file")
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "release" / "bin", help="folder of the programs")
     options = parser.parse_args()

@@ -1057,9 +1057,8 @@ def check_port(siege, port, index):
         first = number < len(rows)
         kind, function, _ = rows[number] if first else order[number % len(order)]
         if first and not arguments.quick:
-            if number == 0:
-                siege.honest.rest(120)  # a second: the log has lines left again, after what ended the port before
-            siege.honest.rest(12)
+            # At first for a second: the log has lines left again, after what ended the port before.
+            siege.honest.rest(12 if number else 120)
         seed = f"{arguments.seed}/{port.name}/{kind}/{number}"
         rng = random.Random(seed)
         figures[kind] += 1

@@ -78,6 +78,20 @@ class RunsTest : public ::testing::Test, public CoreWorld {
         fromEntity(entity, message);
     }
     RunReport report() { return runs.back(); }
+    /// The client gets the lease of its master back and asks for the history of its runs: an answer without
+    /// any.
+    proto::ToClient resumeMaster() {
+        for (const auto& message : link.take()) {
+            if (message.head.entity == uuid(1) && message.body.has_check_out())
+                grantWithRoot(message, root, 4, 5s);
+        }
+        const auto asked = link.take();
+        EXPECT_THAT(asked, SizeIs(1));
+        EXPECT_TRUE(asked.at(0).body.has_run_history());
+        proto::ToClient answer;
+        answer.mutable_run_history()->set_request_id(asked.at(0).body.run_history().request_id());
+        return answer;
+    }
 
     const std::string key = "0123456789abcdef", root = "root of the test";
     std::vector<RunReport>& runs = observer.runs;
@@ -404,22 +418,11 @@ TEST_F(RunsTest, AfterALostConnectionTheMasterSaysHowItEnded) {
     core.onDisconnected("cut");
     EXPECT_THAT(runs, SizeIs(1)) << "nobody knows yet";
     connect();
-    auto asked = link.take();
-    for (const auto& message : asked) {
-        if (message.head.entity == uuid(1) && message.body.has_check_out())
-            grantWithRoot(message, root, 4, 5s);
-    }
-    asked = link.take();
-    ASSERT_THAT(asked, SizeIs(1));
-    ASSERT_TRUE(asked[0].body.has_run_history());
-
-    proto::ToClient answer;
-    answer.mutable_run_history()->set_request_id(asked[0].body.run_history().request_id());
+    auto answer = resumeMaster();
     fromEntity(1, answer);
     EXPECT_THAT(runs, SizeIs(1)) << "it may be ending at this moment";
     advance(1s);
-    asked = link.take();
-    ASSERT_THAT(asked, SizeIs(1)) << "asked again";
+    ASSERT_THAT(link.take(), SizeIs(1)) << "asked again";
     auto& record = *answer.mutable_run_history()->add_runs();
     record.set_run_id(id.bytes());
     record.set_state(proto::RUN_STOPPED);
@@ -449,15 +452,7 @@ TEST_F(RunsTest, ARunThatIsStillUnderWayAfterALostConnectionStaysSoHoweverQuietI
     tell(1, running);
     core.onDisconnected("cut");
     connect();
-    for (const auto& message : link.take()) {
-        if (message.head.entity == uuid(1) && message.body.has_check_out())
-            grantWithRoot(message, root, 4, 5s);
-    }
-    const auto asked = link.take();
-    ASSERT_THAT(asked, SizeIs(1));
-    ASSERT_TRUE(asked[0].body.has_run_history());
-    proto::ToClient answer;
-    answer.mutable_run_history()->set_request_id(asked[0].body.run_history().request_id());
+    auto answer = resumeMaster();
     auto& record = *answer.mutable_run_history()->add_runs();
     record.set_run_id(id.bytes());
     record.set_state(proto::RUN_HELD);
@@ -485,14 +480,7 @@ TEST_F(RunsTest, ARunThatLivesIsNotCancelledBecauseItsFirstEventWasLost) {
     link.sent.clear();
     core.onProfile(Presence::Left, {uuid(1), "PeopleBot#1", "ROBOT", "MOBILE"}, {});
     join(1, "PeopleBot#1");
-    for (const auto& message : link.take()) {
-        if (message.body.has_check_out()) grantWithRoot(message, root, 4, 5s);
-    }
-    const auto asked = link.take();
-    ASSERT_THAT(asked, SizeIs(1));
-    ASSERT_TRUE(asked[0].body.has_run_history());
-    proto::ToClient answer;
-    answer.mutable_run_history()->set_request_id(asked[0].body.run_history().request_id());
+    auto answer = resumeMaster();
     auto& record = *answer.mutable_run_history()->add_runs();
     record.set_run_id(id.bytes());
     record.set_state(proto::RUN_RUNNING);
