@@ -31,6 +31,7 @@ import pathlib
 import platform
 import queue
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -143,7 +144,8 @@ class Robot:
                                                 start_new_session=True)
         threading.Thread(target=self.listen, daemon=True).start()
         lab.ports = f"{low}-{low + 3}"
-        (folder / "manager.cfg").write_text(f"Axon.WatchdogBusyMs = {watchdog}\n")
+        (folder / "manager.cfg").write_text(f"Axon.WatchdogBusyMs = {watchdog}\nAxon.LinkWatchdogBusyMs = {watchdog}\n"
+                                           f"Axon.LinkWatchdogIdleMs = {max(500, watchdog)}\n")
         self.manager = lab.start_manager("", "--state", folder / "state", "--config", folder / "manager.cfg")
 
     def listen(self):
@@ -413,9 +415,17 @@ class Run:
             self.judge_lists(victim, back, "came back", (), report)
             self.judge_holder(report)
         self.judge_others(victim, begin, spared, report)
+        # Two replicas, or two servers, away at once would be another trial.
         if kind.environment == "machines":
-            server.up()  # two replicas away at once would be another trial
+            server.up()
+        wait_until(self.no_server_misses_another, "no server misses another", READY_S)
         report.trials += 1
+
+    def no_server_misses_another(self):
+        """Whether the last that each server's log says of another server is that it is there. One that was started again has
+        perhaps not said anything yet."""
+        logs = (pathlib.Path(program["log"]) for program in self.lab.server.status["programs"] if program["name"].startswith(("fe", "es")))
+        return all("gone" not in dict(re.findall(r" server (\S+) is (there|gone)", log.read_text(errors="replace"))).values() for log in logs)
 
     def judge_others(self, victim, begin, spared, report):
         """Robots that had nothing to do with it were not disturbed, not even when the others came back."""
@@ -563,7 +573,7 @@ def main():
     parser.add_argument("--routers", type=int, default=2, help="for clients, and as many for Entity Managers")
     parser.add_argument("--seed", type=int, default=1, help="seed that chooses moments and programs (%(default)s)")
     parser.add_argument("--watchdog", type=int, default=WATCHDOG_MS, metavar="MS",
-                        help="silence in which a server, an Entity Manager or a client is lost while a task runs (%(default)s)")
+                        help="silence in which a client, an Entity Manager, its server or its robot application is lost while a task runs (%(default)s)")
     parser.add_argument("--json", type=pathlib.Path, help="write every latency to this file")
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "release" / "bin", help="folder of the programs")
     options = parser.parse_args()

@@ -20,6 +20,7 @@ import hosts  # noqa: E402
 import laboratory  # noqa: E402
 import processes  # noqa: E402
 import probe  # noqa: E402
+import sessions  # noqa: E402
 from grid import APPLICATION, record  # noqa: E402
 
 NETWORK = "10.88.0"
@@ -113,8 +114,17 @@ class Machines(laboratory.Programs):
             self.start()
         laboratory.wait_until(lambda: all(map(self.runs, self.programs)), "every program runs", SECONDS)
         laboratory.wait_until(lambda: all(map(self.answers, self.names("icestorm"))), "every replica of IceStorm answers", SECONDS)
+        laboratory.wait_until(self.all_routers_lead_to_servers, "a session through each router", SECONDS)
         client = {**self.lab.env, "AXON_CONFIG": self.status["client_config"]}
         laboratory.wait_until(lambda: self.lab.axon("ls", env=client)[0] == 0, "a client gets a session", SECONDS)
+
+    def all_routers_lead_to_servers(self):
+        try:
+            for file in ("client_config", "entity_config"):
+                sessions.log_in(pathlib.Path(self.status[file]))
+            return True
+        except probe.NoAnswer:
+            return False
 
     def configure(self):
         text = "".join(f"{machine}: {programs}\n" for machine, programs in self.layout.items())

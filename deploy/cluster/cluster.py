@@ -15,11 +15,9 @@ import os
 import pathlib
 import pwd
 import random
-import re
 import secrets
 import shutil
 import socket
-import ssl
 import subprocess
 import sys
 import time
@@ -28,6 +26,7 @@ import configuration
 import hosts
 import probe
 import processes
+import sessions
 from grid import Grid, record
 from configuration import ADMIN, ENTITY, Misconfigured
 
@@ -409,16 +408,10 @@ class Cluster:
 
     def wait_for_sessions(self, plan, seconds):
         """What counts: somebody who knows nothing but client.cfg or entitygl2client.cfg gets a session."""
-        def log_in(file):
-            router, *endpoints = re.split(r":(?=tcp |ssl )", self.told(file, "Ice.Default.Router"))
-            for words in map(str.split, endpoints):
-                probe.make_session(words[words.index("-h") + 1], int(words[words.index("-p") + 1]), router,
-                                   self.told(file, "Axon.User"), self.told(file, "Axon.Password"), self.tls(file))
-
         names = [program.name for program in configuration.programs(plan)]
-        self.wait(lambda: log_in("entitygl2client.cfg"), "an Entity Manager gets a session through each entity router",
+        self.wait(lambda: sessions.log_in(self.folder / "entitygl2client.cfg"), "an Entity Manager gets a session through each entity router",
                   seconds, names)
-        self.wait(lambda: log_in("client.cfg"), "a client gets a session through each client router", seconds, names)
+        self.wait(lambda: sessions.log_in(self.folder / "client.cfg"), "a client gets a session through each client router", seconds, names)
         self.progress.show("axon ls")
         self.run_axon("--config", self.folder / "client.cfg", "ls")
         self.progress.show()
@@ -429,12 +422,7 @@ class Cluster:
 
     def tls(self, file="client.cfg"):
         """What a connection needs of the certificates that `file` names; None where it names none, for plain TCP."""
-        if self.told(file, "IceSSL.DefaultDir") is None:
-            return None
-        folder = pathlib.Path(self.told(file, "IceSSL.DefaultDir"))
-        context = ssl.create_default_context(cafile=folder / self.told(file, "IceSSL.CAs"))
-        context.load_cert_chain(folder / self.told(file, "IceSSL.CertFile"), folder / self.told(file, "IceSSL.KeyFile"))
-        return context
+        return sessions.tls_of(self.folder / file)
 
     def wait(self, asks, what, seconds, names):
         """Until `asks` raises NoAnswer no more; a program of `names` that ends meanwhile, and that no node starts again, ends

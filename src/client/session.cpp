@@ -171,6 +171,7 @@ Result<void> Client::Session::establish() {
     login.password = options_.password;
     login.display_name = options_.display_name.empty() ? userAtHost() : options_.display_name;
     login.timeout = timeoutOf(options_);
+    login.lost_router = std::exchange(last_router_, nullptr);
     {
         const std::lock_guard lock(core_mutex_);
         login.attempt = ++attempt_;
@@ -183,6 +184,7 @@ Result<void> Client::Session::establish() {
         failure = opened.refusal();
     } else {
         const auto& connection = opened.value();
+        if (communicators_->routed()) last_router_ = connection->endpoint();
         connection_.store(connection);
         messages_.connect(connection);
         stops_.connect(connection);

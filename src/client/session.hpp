@@ -26,6 +26,10 @@
 #include "common/release.hpp"
 #include "common/snapshot.hpp"
 
+namespace Ice {
+class Endpoint;
+}
+
 namespace axon::client {
 
 class Communicators;
@@ -172,6 +176,9 @@ class Client::Session final : public LeaseOffers,
 
     Snapshot<ServerConnection> connection_{nullptr};
     Reconnection reconnection_;
+    // Of connect(), then of the timer's thread: the router of the last session, until it has been tried
+    // again.
+    std::shared_ptr<Ice::Endpoint> last_router_;
     ReleaseNotes releases_;
     std::atomic<bool> closing_{false};
     std::atomic<bool> give_up_{false};  // the program does not return from its callbacks

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <iterator>
+#include <utility>
 
 namespace axon {
 namespace {
@@ -41,7 +42,7 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
             if (its->replaced.size() > kReplacedKept) its->replaced.erase(its->replaced.begin());
             its->restarted = its->restarted || its->alive;  // else it is lost already
         }
-        its->straight = false;
+        its->straight = its->refuses = false;
         its->alive = true;
         its->liveness.setTimeouts(timeouts_.met, timeouts_.met, now);
         its->arrived = news = true;
@@ -58,9 +59,19 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
     }
     if (lane == Lane::Signal || !its->straight) {
         its->liveness.heard(now);
+        its->refuses = false;
         if (!its->alive) its->alive = its->arrived = news = true;
     }
     return news;
+}
+
+bool Neighbours::refused(std::string_view server, std::string_view signals) {
+    const std::lock_guard lock(mutex_);
+    const auto found = all_.find(server);
+    if (found == all_.end()) return false;
+    auto& its = found->second;
+    if (!its.alive || !its.straight || its.announcement.signals != signals) return false;
+    return !std::exchange(its.refuses, true);
 }
 
 void Neighbours::await(std::string_view server, TimePoint now) {
@@ -79,12 +90,12 @@ Neighbours::News Neighbours::news(TimePoint now) {
     const std::lock_guard lock(mutex_);
     for (auto entry = all_.begin(); entry != all_.end();) {
         auto& [name, its] = *entry;
-        const bool silent = its.alive && its.liveness.expired(now);
-        if (silent) its.alive = its.arrived = false;
-        if (silent || its.restarted) news.lost.push_back(name);
+        const bool lost = its.alive && now >= its.deadline();
+        if (lost) its.alive = its.arrived = its.refuses = false;
+        if (lost || its.restarted) news.lost.push_back(name);
         if (its.arrived) news.arrived.push_back(name);
         its.arrived = its.restarted = false;
-        if (its.alive) news.next = std::min(news.next, its.liveness.deadline());
+        if (its.alive) news.next = std::min(news.next, its.deadline());
         if (its.reached && now >= its.reachable_until) {
             its.reached = false;
             reach_changed_ = true;

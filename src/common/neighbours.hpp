@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #pragma once
+#include <algorithm>
 #include <cstdint>
 #include <map>
 #include <mutex>
@@ -30,6 +31,9 @@ enum class Via : std::uint8_t { Topic, Straight };
 /// only what comes directly does, because that is the way of the signals. An instance that was replaced is
 /// never taken for the present one, however late its announcements come.
 ///
+/// A watched neighbour whose port refuses connections has most likely ended: silence of `kRefuses` is enough
+/// then. One that goes on saying that it lives, and is not late, is not lost by that.
+///
 /// Threads: any; a mutex of its own, held for a look into a map of at most `kMost`. It is I/O-free.
 class Neighbours {
   public:
@@ -39,7 +43,7 @@ class Neighbours {
         Duration met = std::chrono::seconds{3};  ///< of one that was never heard directly
     };
     struct News {
-        std::vector<std::string> lost;     ///< silent, or restarted: everything that came through it is gone
+        std::vector<std::string> lost;     ///< silent or restarted: everything that came through it is gone
         std::vector<std::string> arrived;  ///< is there, or there again
         /// Whom to send signals to directly, where that has changed.
         std::optional<std::vector<ServerAnnouncement>> reachable;
@@ -49,12 +53,19 @@ class Neighbours {
     /// Nothing is sent to a neighbour that was not heard for this long. It is forgotten after `kForget`.
     static constexpr std::chrono::seconds kReach{3};
     static constexpr std::chrono::seconds kForget{60};
+    /// How often a server says to each neighbour that it lives.
+    static constexpr std::chrono::milliseconds kBeat{50};
+    /// The silence after which a neighbour is lost whose port refuses.
+    static constexpr std::chrono::milliseconds kRefuses = kBeat * 3 / 2;
 
     explicit Neighbours(Timeouts timeouts) : timeouts_(timeouts) {}
     Neighbours() : Neighbours(Timeouts{}) {}
 
     /// `lane`: Signal = directly, Data = by the topic. Returns whether there is news to ask for.
     bool heard(Lane lane, const ServerAnnouncement& announcement, TimePoint now);
+    /// A connection to `signals`, where this server said that it takes signals, was refused. Returns whether
+    /// there is another moment at which to ask for news.
+    bool refused(std::string_view server, std::string_view signals);
     /// Something came by this server. One that was never heard of is awaited from now on: it is lost unless
     /// it is heard within `met`.
     void await(std::string_view server, TimePoint now);
@@ -81,6 +92,12 @@ class Neighbours {
         bool alive = true;
         bool arrived = false;
         bool restarted = false;
+        bool refuses = false;  // since it was last heard directly
+
+        TimePoint deadline() const {
+            const auto silent = liveness.deadline();
+            return refuses ? std::min<TimePoint>(silent, liveness.last() + kRefuses) : silent;
+        }
     };
     Neighbour* findOrAdd(std::string_view server, TimePoint now);
 

@@ -64,6 +64,62 @@ TEST_F(NeighboursTest, SilenceOnTheDirectWayIsALossWithinTheWatchdogThoughTheTop
     EXPECT_TRUE(neighbours.serves("fe1:one:uuid"));
 }
 
+TEST_F(NeighboursTest, OneWhosePortRefusesIsLostWithTheNextHeartbeatThatIsMissing) {
+    topic();
+    EXPECT_FALSE(neighbours.refused("fe1", "signals of one")) << "only its announcements have come";
+    straight();
+    news();
+    EXPECT_FALSE(neighbours.refused("fe1", "signals of another")) << "an address of before";
+    EXPECT_FALSE(neighbours.refused("fe2", "signals of one")) << "nobody";
+    clock.advance(25ms);
+    EXPECT_TRUE(neighbours.refused("fe1", "signals of one"));
+    EXPECT_FALSE(neighbours.refused("fe1", "signals of one")) << "nothing new";
+    clock.advance(49ms);
+    EXPECT_THAT(news().lost, IsEmpty());
+    EXPECT_EQ(news().next, clock.now() + 1ms);
+    clock.advance(1ms);
+    EXPECT_THAT(news().lost, ElementsAre("fe1"));
+    EXPECT_FALSE(neighbours.serves("fe1:one:uuid"));
+    EXPECT_FALSE(neighbours.refused("fe1", "signals of one")) << "it is lost already";
+    EXPECT_THAT(news().lost, IsEmpty());
+    straight();
+    EXPECT_THAT(news().arrived, ElementsAre("fe1")) << "it listens again";
+    EXPECT_THAT(news().lost, IsEmpty());
+}
+
+TEST_F(NeighboursTest, OneThatCannotBeReachedAndSaysThatItLivesIsNotLost) {
+    straight();
+    neighbours.setBusy("fe1", true, clock.now());
+    news();
+    for (int i = 0; i < 20; ++i) {
+        EXPECT_TRUE(neighbours.refused("fe1", "signals of one"));
+        clock.advance(60ms);
+        EXPECT_THAT(news().lost, IsEmpty());
+        straight();
+        EXPECT_THAT(news().arrived, IsEmpty());
+    }
+    clock.advance(249ms);
+    EXPECT_THAT(news().lost, IsEmpty()) << "it has not refused since it was heard";
+}
+
+TEST_F(NeighboursTest, AnInstanceIsNotLostForThePortOfTheOneBeforeAtTheSameAddress) {
+    const auto announce = [&](const char* instance) {
+        return neighbours.heard(Lane::Signal, {"fe1", instance, "a fixed port", 0}, clock.now());
+    };
+    announce("one");
+    news();
+    EXPECT_TRUE(neighbours.refused("fe1", "a fixed port"));
+    announce("two");
+    const auto then = news();
+    EXPECT_THAT(then.lost, ElementsAre("fe1")) << "the one before";
+    EXPECT_THAT(then.arrived, ElementsAre("fe1"));
+    EXPECT_TRUE(neighbours.refused("fe1", "a fixed port")) << "a late one";
+    clock.advance(50ms);
+    announce("two");
+    clock.advance(100ms);
+    EXPECT_THAT(news().lost, IsEmpty());
+}
+
 TEST_F(NeighboursTest, AnIdleOneHasLonger) {
     straight();
     clock.advance(1900ms);

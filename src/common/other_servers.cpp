@@ -6,7 +6,6 @@
 namespace axon {
 namespace {
 
-constexpr std::chrono::milliseconds kBeat{50};
 constexpr std::chrono::seconds kAnnounce{1};
 
 }  // namespace
@@ -50,7 +49,7 @@ TimePoint OtherServers::onTimer(TimePoint now) {
         next = std::min(next, news.next);
     }
     if (now >= next_beat_ || somebody_new) {
-        next_beat_ = now + kBeat;
+        next_beat_ = now + Neighbours::kBeat;
         say_(Lane::Signal);
         announce = announce_soon_.exchange(false) || announce;
     }

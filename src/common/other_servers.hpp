@@ -31,8 +31,8 @@ class OtherServers {
         Neighbours::Timeouts timeouts;
         /// Whom signals are sent to directly from now on.
         std::function<void(const std::vector<ServerAnnouncement>&)> reach = {};
-        /// They fell silent, or started anew. Called before anything is said to anybody: for what stops
-        /// robots.
+        /// They fell silent, refuse connections, or started anew. Called before anything is said to anybody:
+        /// for what stops robots.
         std::function<void(const std::vector<std::string>&)> lost = {};
         /// The same news, when everything has been said: for what may take a while.
         std::function<void(const std::vector<std::string>&)> left = {};

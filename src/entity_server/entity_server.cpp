@@ -12,12 +12,14 @@ struct EntityServer::Parts {
     Parts(const EntityServerSettings& settings, const std::shared_ptr<Ice::Communicator>& data,
           const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
           EntityServerCore::Note note)
-        : topic(data, settings.topic_signals,
-                {[this](const Header& head, const Refusal& refusal) {
-                     core.peerRefusal(Lane::Data, head, refusal);
-                 },
-                 [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }},
-                settings.links),
+        : topic(
+              data, settings.topic_signals,
+              {[this](const Header& head, const Refusal& refusal) {
+                   core.peerRefusal(Lane::Data, head, refusal);
+               },
+               [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }},
+              [this](const auto& server, const auto& signals) { core.serverRefused(server, signals); },
+              settings.links),
           core(
               settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { rim.wake(); },

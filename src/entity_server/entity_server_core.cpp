@@ -33,15 +33,24 @@ bool deliver(EntityOutbox& outbox, const Header& head, std::string_view message)
     return true;
 }
 
-/// What the front-end server would have said, had it lost its client. The clock makes the number new.
-void loseClient(EntityOutbox& signal, const EntityStatus& status, TimePoint now) {
-    Header head;
-    head.sender = status.holder;
-    head.entity = status.entity;
-    head.sent_at_us = toMicroseconds(now);
-    head.sequence = kEntityServerSequences + head.sent_at_us % (kServerSequences / 2);
-    signal.stopSignal(head, StopCause::ClientLost);
-    signal.newClientUpdate(head, ClientChange::Lost);
+/// An entity that its client has left behind.
+using LeftBehind = std::pair<EntityServerCore::SessionRef, EntityStatus>;
+
+/// What the front-end server would have said, had it lost its client. The clock makes the number new. All
+/// stop first.
+void loseClients(const std::vector<LeftBehind>& left_behind, TimePoint now) {
+    const auto head = [now](const EntityStatus& status) {
+        Header head;
+        head.sender = status.holder;
+        head.entity = status.entity;
+        head.sent_at_us = toMicroseconds(now);
+        head.sequence = kEntityServerSequences + head.sent_at_us % (kServerSequences / 2);
+        return head;
+    };
+    for (const auto& [session, status] : left_behind)
+        session->signal->stopSignal(head(status), StopCause::ClientLost);
+    for (const auto& [session, status] : left_behind)
+        session->signal->newClientUpdate(head(status), ClientChange::Lost);
 }
 
 }  // namespace
@@ -246,7 +255,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         session->signal->newHeartbeat(heartbeat);
         wake_();
     }
-    if (late) loseClient(*session->signal, given, clock_.now());
+    if (late) loseClients({{session, given}}, clock_.now());
     if (late && !given.holder.id.empty()) audit_.stoppedForLostClient(given);
     publishPending();
     if (!line.empty()) note_(line);
@@ -409,6 +418,10 @@ void EntityServerCore::frontEndServerUpdate(Lane lane, const ServerAnnouncement&
     if (!alone() && front_ends_.heard(lane, server, clock_.now())) wake_();
 }
 
+void EntityServerCore::serverRefused(const std::string& server, const std::string& signals) {
+    if (front_ends_.refused(server, signals) || entity_servers_.refused(server, signals)) wake_();
+}
+
 void EntityServerCore::entityServerUpdate(Lane lane, const ServerAnnouncement& server,
                                           const std::vector<std::string>& entities) {
     if (alone() || server.name == settings_.name || !isServerName(server.name)) return;
@@ -441,7 +454,7 @@ void EntityServerCore::announce(Lane lane) {
 }
 
 void EntityServerCore::frontEndsLost(const std::vector<std::string>& names) {
-    std::vector<std::pair<SessionRef, EntityStatus>> left_behind;
+    std::vector<LeftBehind> left_behind;
     {
         const std::lock_guard lock(mutex_);
         for (const auto& [entity, session] : registered_) {
@@ -453,7 +466,7 @@ void EntityServerCore::frontEndsLost(const std::vector<std::string>& names) {
     // First of all who may be moving.
     std::stable_partition(left_behind.begin(), left_behind.end(),
                           [](const auto& one) { return one.second.state == EntityState::BUSY; });
-    for (const auto& [session, status] : left_behind) loseClient(*session->signal, status, clock_.now());
+    loseClients(left_behind, clock_.now());
     for (const auto& [session, status] : left_behind) audit_.stoppedForLostClient(status);
     for (const auto& name : names) {
         note_("front-end server " + name + " is gone; its clients held " +

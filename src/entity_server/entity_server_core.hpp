@@ -59,12 +59,12 @@ struct EntityServerCoreSettings {
 /// States of a session: opened ─ attach() ► two lanes ─ sendBasicPrfl() ► registered ─ leave() ► gone.
 ///
 /// One of several: it announces itself to the front-end servers and watches them. A front-end server that
-/// falls silent or was restarted leaves clients behind that nobody watches: every entity that one of them
-/// holds is stopped and told that it lost its client, even if the grant becomes known later. What comes by
-/// the topic for an entity that is not here may be another's, and is not refused; what comes straight is.
-/// Entity servers tell each other which entities they have, every second and when that changes: what one
-/// entity sends another finds its way by that, or is refused, and an entity that another living server has is
-/// refused as a duplicate (unless both join within the 50 ms until that is told).
+/// falls silent, refuses connections or was restarted leaves clients behind that nobody watches: every entity
+/// that one of them holds is stopped and told that it lost its client, even if the grant becomes known later.
+/// What comes by the topic for an entity that is not here may be another's, and is not refused; what comes
+/// straight is. Entity servers tell each other which entities they have, every second and when that changes:
+/// what one entity sends another finds its way by that, or is refused, and an entity that another living
+/// server has is refused as a duplicate (unless both join within the 50 ms until that is told).
 ///
 /// Parts: the registry of sessions is here; what others are told (Publisher), Drills, EntitiesElsewhere and
 /// the answers for what is Undelivered have their own state. Payloads are opaque.
@@ -126,6 +126,8 @@ class EntityServerCore {
     void clearSignal(const Header& head);
     /// `lane`: Signal = directly, Data = by the topic.
     void frontEndServerUpdate(Lane lane, const ServerAnnouncement& server);
+    /// A connection to `signals`, where this front-end or entity server takes signals, was refused.
+    void serverRefused(const std::string& server, const std::string& signals);
     /// The topic has been found, or found again. Nobody has received messages published in between.
     void topicFound();
 

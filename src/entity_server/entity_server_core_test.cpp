@@ -67,6 +67,7 @@ class FakeOutbox final : public EntityOutbox {
     }
     void newClientUpdate(const Header& head, ClientChange) override {
         lines.push_back("client " + head.sender.id);
+        if (on_client) on_client();
     }
     void newRefusalMsg(const Header&, const Refusal& refusal) override {
         lines.push_back("refused " + std::string(refusalName(refusal.code)));
@@ -79,6 +80,7 @@ class FakeOutbox final : public EntityOutbox {
     int heartbeats = 0;
     std::string disconnected;
     bool slow = false;  ///< the sender has its share of what waits here
+    std::function<void()> on_client;
 };
 
 class FakeTopic final : public FrontEndTopic {
@@ -955,6 +957,38 @@ TEST_F(OneOfSeveral, AFrontEndServerThatFallsSilentHasLostItsClientsAndTheOtherH
     EXPECT_THAT(others.signal->lines, IsEmpty());
     EXPECT_GT(mine.signal->last.sequence, kEntityServerSequences);
     EXPECT_EQ(mine.signal->last.sender.id, "fe1:one:c1");
+}
+
+TEST_F(OneOfSeveral, AFrontEndServerThatRefusesConnectionsHasLostItsClientsWithTheNextHeartbeat) {
+    const auto mine = join(kFirst);
+    const auto others = join(kSecond, "Other");
+    status(mine, EntityState::BUSY, "fe1:one:c1");
+    status(others, EntityState::BUSY, "fe2:one:c2");
+    bothLive(1s);  // fe1 was heard 50 ms ago
+    const int before = woken;
+    core.serverRefused("fe1", "signals of fe1");
+    EXPECT_EQ(woken, before + 1);
+    pass(24ms);
+    EXPECT_THAT(mine.signal->lines, IsEmpty());
+    pass(1ms);
+    EXPECT_THAT(mine.signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
+    EXPECT_THAT(others.signal->lines, IsEmpty());
+}
+
+TEST_F(OneOfSeveral, AllThatAFrontEndServerLeavesBehindStopBeforeAnythingElseIsSaid) {
+    const auto first = join(kFirst);
+    const auto second = join(kSecond, "Other");
+    for (const auto* one : {&first, &second}) {
+        status(*one, EntityState::BUSY, "fe1:one:c1");
+        one->signal->on_client = [&] {
+            EXPECT_THAT(first.signal->lines, Contains("stop client lost"));
+            EXPECT_THAT(second.signal->lines, Contains("stop client lost"));
+        };
+    }
+    bothLive(1s);
+    pass(250ms);
+    for (const auto* one : {&first, &second})
+        EXPECT_THAT(one->signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
 }
 
 TEST_F(OneOfSeveral, AFrontEndServerThatStartedAnewHasLostItsClientsOfBefore) {

@@ -87,6 +87,7 @@ Refusal serverUnreached(const std::string& server) {
 
 IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
                                    const std::shared_ptr<Ice::Communicator>& signal, Lost lost,
+                                   const std::function<void(const std::string&, const std::string&)>& refused,
                                    transport::LinkTrust* links)
     : peer_lost_([lost = std::move(lost.to_peer)](const Header& head) {
           lost(head, {RefusalCode::NotConnected,
@@ -98,8 +99,8 @@ IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& dat
                {RefusalCode::NotConnected, "the connection to the client's front-end server has failed", {}});
       }),
       to_client_refused_(std::move(lost.to_client)),
-      front_ends_(data, signal, "entity server", links, certificates::Kind::FrontEnd),
-      peers_(data, signal, "entity server", links, certificates::Kind::EntityServer) {}
+      front_ends_(data, signal, "entity server", refused, links, certificates::Kind::FrontEnd),
+      peers_(data, signal, "entity server", refused, links, certificates::Kind::EntityServer) {}
 
 /// To the front-end server of the recipient, or to all.
 template <class Call>

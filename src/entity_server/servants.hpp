@@ -48,10 +48,12 @@ class IceFrontEndTopic final : public FrontEndTopic {
     struct Lost {
         std::function<void(const Header&, const Refusal&)> to_peer, to_client;
     };
+    /// `refused` is called when a connection to where that server takes signals was refused; any thread.
     /// `signal`: the communicator of signals between servers. `links`: of links under TLS, else null.
-    IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
-                     const std::shared_ptr<Ice::Communicator>& signal, Lost lost,
-                     transport::LinkTrust* links);
+    IceFrontEndTopic(
+        const std::shared_ptr<Ice::Communicator>& data, const std::shared_ptr<Ice::Communicator>& signal,
+        Lost lost, const std::function<void(const std::string& server, const std::string& signals)>& refused,
+        transport::LinkTrust* links);
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& front_ends,
                    const std::vector<std::string>& entity_servers) {

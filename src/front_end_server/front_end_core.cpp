@@ -9,6 +9,7 @@
 #include <unordered_set>
 #include <utility>
 
+#include "common/heartbeat.hpp"
 #include "common/liveness.hpp"
 #include "common/planted_bug.hpp"
 #include "common/queue_share.hpp"
@@ -502,29 +503,43 @@ void FrontEndCore::keepAlive(const ClientRef& client) {
 }
 
 void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::string& why) {
-    Holdings::Held held;
+    leave({{client, ending, why, {}}});
+}
+
+void FrontEndCore::leave(std::vector<Leaving> leaving) {
+    if (leaving.empty()) return;
+    std::vector<Leaving> gone;
     {
         const std::lock_guard lock(mutex_);
-        if (!clients_.remove(client)) return;
-        client->gone = true;
-        held = holdings_.of(client->me.id);
-        client->share->held -= client->entities.held();
-        if (client->surplus) --client->share->surplus;
-        if (!client->user.empty() && --client->share->sessions == 0) shares_.erase(client->user);
-        gone_.remember(client->me, ending);
+        for (auto& one : leaving) {
+            const auto& client = one.client;
+            if (!clients_.remove(client)) continue;
+            client->gone = true;
+            one.held = holdings_.of(client->me.id);
+            client->share->held -= client->entities.held();
+            if (client->surplus) --client->share->surplus;
+            if (!client->user.empty() && --client->share->sessions == 0) shares_.erase(client->user);
+            gone_.remember(client->me, one.ending);
+            gone.push_back(std::move(one));
+        }
     }
-    settlement_.settle(client->me, ending, held);
-    // Whom else it asked: it waits for none of them any more, and watches nothing.
-    for (const auto& [entity, check_out] : client->entities.take())
-        if (!held.contains(entity)) settlement_.tellGone(client->me, entity, ending);
-    client->data->disconnect(ending == Ending::Ended, why);
-    if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
-    const char* how = ending == Ending::Ended ? "left" : ending == Ending::Lost ? "is lost" : "was dropped";
-    log_.left(client->me, how, why);
-    note_("client " + client->me.name + " " + how + ": " + why +
-          (held.empty()
-               ? ""
-               : "; it held " + std::to_string(held.size()) + (held.size() == 1 ? " entity" : " entities")));
+    for (const auto& [client, ending, why, held] : gone) settlement_.stop(client->me, ending, held);
+    for (const auto& [client, ending, why, held] : gone) {
+        settlement_.tellGone(client->me, ending, held);
+        // Whom else it asked: it waits for none of them any more, and watches nothing.
+        for (const auto& [entity, check_out] : client->entities.take())
+            if (!held.contains(entity)) settlement_.tellGone(client->me, entity, ending);
+        client->data->disconnect(ending == Ending::Ended, why);
+        if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
+        const char* how = ending == Ending::Ended  ? "left"
+                          : ending == Ending::Lost ? "is lost"
+                                                   : "was dropped";
+        log_.left(client->me, how, why);
+        note_("client " + client->me.name + " " + how + ": " + why +
+              (held.empty() ? ""
+                            : "; it held " + std::to_string(held.size()) +
+                                  (held.size() == 1 ? " entity" : " entities")));
+    }
 }
 
 /// What has become of the user, where that is less than this role.
@@ -603,15 +618,17 @@ void FrontEndCore::usersChanged() {
         if (others) records = entities_.records();
     }
     std::vector<GivenUp> given_up;
+    std::vector<Leaving> leaving;
     for (const auto& client : clients) {
         auto why = lessThan(client->user, client->me.role);
         if (!why && others) why = lessBy(client, records, *before, *now, given_up);
         if (why) {
-            leave(client, Ending::Lost, *why);
+            leaving.push_back({client, Ending::Lost, std::move(*why), {}});
         } else if (others) {
             stay.push_back(client);
         }
     }
+    leave(std::move(leaving));
     for (const auto& what : given_up)
         if (!what.client->gone) giveUp(what);
     for (const auto& client : stay) {
@@ -737,6 +754,10 @@ void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& serve
     ask(server.name);  // something of it was lost on the way, or it was there first
 }
 
+void FrontEndCore::entityServerRefused(const std::string& server, const std::string& signals) {
+    if (entity_servers_.refused(server, signals)) wake_();
+}
+
 void FrontEndCore::topicFound() {
     topic_.frontEndServerUpdate(Lane::Data, others_.self());
     {
@@ -786,8 +807,10 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     if (!doubted.empty()) log_.unaskedHolder(entity, doubted);
     if (passed && !alone()) log_.holder(status);  // the entity server beside the only one records it
     if (barred.client) leave(barred.client, Ending::Lost, barred.why);
-    if (late && !AXON_PLANTED(LateGrantLeft))
-        settlement_.settle(late->sender, late->ending, {{entity, busy}});
+    if (late && !AXON_PLANTED(LateGrantLeft)) {
+        settlement_.stop(late->sender, late->ending, {{entity, busy}});
+        settlement_.tellGone(late->sender, late->ending, {{entity, busy}});
+    }
     if (busy) wake_();
     // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the
     // newest.
@@ -832,7 +855,7 @@ void FrontEndCore::entityRefusal(Lane lane, const Header& head, const Refusal& r
 }
 
 TimePoint FrontEndCore::onTimer() {
-    std::vector<std::pair<ClientRef, Duration>> silent;
+    std::vector<Leaving> silent;
     std::vector<std::pair<ClientRef, std::int64_t>> heartbeats;
     std::vector<std::string> warnings;
     TimePoint next;
@@ -842,7 +865,12 @@ TimePoint FrontEndCore::onTimer() {
         next = now + std::chrono::seconds{1};
         for (const auto& [id, client] : clients_.byId()) {
             if (client->liveness.expired(now)) {
-                silent.emplace_back(client, client->liveness.timeout());
+                const auto timeout =
+                    std::chrono::duration_cast<std::chrono::milliseconds>(client->liveness.timeout());
+                silent.push_back({client,
+                                  Ending::Lost,
+                                  "nothing was heard of it for " + std::to_string(timeout.count()) + " ms",
+                                  {}});
                 continue;
             }
             if (now >= client->warn_again) {
@@ -854,17 +882,13 @@ TimePoint FrontEndCore::onTimer() {
             if (client->next_heartbeat <= now) {
                 heartbeats.emplace_back(client, ++client->heartbeats);
                 client->next_heartbeat =
-                    now + (client->liveness.busy() ? settings_.heartbeat_busy : settings_.heartbeat_idle);
+                    now + (client->liveness.busy() ? heartbeatToBusyClient(settings_.watchdog_busy)
+                                                   : settings_.heartbeat_idle);
             }
             next = std::min({next, client->next_heartbeat, client->liveness.deadline()});
         }
     }
-    for (const auto& [client, timeout] : silent) {
-        leave(client, Ending::Lost,
-              "nothing was heard of it for " +
-                  std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count()) +
-                  " ms");
-    }
+    leave(std::move(silent));
     for (const auto& [client, sequence] : heartbeats) client->signalOutbox()->newHeartbeat(sequence);
     next = std::min(next, others_.onTimer(clock_.now()));
     for (const auto& warning : warnings) note_(warning);

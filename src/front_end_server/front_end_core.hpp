@@ -46,11 +46,11 @@ inline constexpr std::size_t kStopsAtOnce = 8192;
 /// where the status that names it comes late.
 ///
 /// One of several: it announces itself to the entity servers and watches them. When an entity server falls
-/// silent or was restarted, its entities have left; so have those that are missing in the list at the end of
-/// a STATUS. It asks for STATUS when it finds a server or the topic, and when it has heard fewer
-/// registrations and statuses of a server than that one has published; again, until the answer has come
-/// whole. An entity belongs to the server that announced its joining last. As it knows all entities it
-/// refuses what is for none; a stop is passed on all the same.
+/// silent, refuses connections or was restarted, its entities have left; so have those that are missing in
+/// the list at the end of a STATUS. It asks for STATUS when it finds a server or the topic, and when it has
+/// heard fewer registrations and statuses of a server than that one has published; again, until the answer
+/// has come whole. An entity belongs to the server that announced its joining last. As it knows all entities
+/// it refuses what is for none; a stop is passed on all the same.
 ///
 /// Who may see, check out, take over and rearm an entity, the lists of users.cfg say (users::Access); they
 /// are asked here, before anything is routed, and for what comes back on the data lane. No stop is ever kept
@@ -112,6 +112,8 @@ class FrontEndCore {
     void entityServerEntities(const std::string& server, const std::vector<std::string>& entities);
     /// `lane`: Signal = directly, Data = by the topic.
     void entityServerUpdate(Lane lane, const ServerAnnouncement& server);
+    /// A connection to `signals`, where this entity server takes signals, was refused.
+    void entityServerRefused(const std::string& server, const std::string& signals);
     /// The topic has been found, or found again. Messages published in between were not received here.
     void topicFound();
 
@@ -149,6 +151,16 @@ class FrontEndCore {
         std::string entity, name;
     };
 
+    /// A client whose session is over, and what it held.
+    struct Leaving {
+        ClientRef client;
+        Ending ending;
+        std::string why;
+        Holdings::Held held;
+    };
+
+    /// All at once; one that has left already is left out.
+    void leave(std::vector<Leaving> leaving);
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);

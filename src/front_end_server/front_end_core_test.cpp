@@ -1142,6 +1142,20 @@ TEST_F(FrontEndTest, StopsForASilentClientExactlyAtItsWatchdog) {
     EXPECT_EQ(core.clients(), 0U);
 }
 
+TEST_F(FrontEndTest, TheRobotsOfAllThatAreSilentStopBeforeAnythingElseIsSaid) {
+    for (const auto* name : {"a", "b"}) {
+        entity(name);
+        status(name, EntityState::BUSY, join(std::string("client of ") + name).id());
+    }
+    pass(250ms);
+    const auto lines = topic.take();
+    ASSERT_EQ(lines.size(), 4U);
+    EXPECT_THAT(std::vector(lines.begin(), lines.begin() + 2),
+                UnorderedElementsAre("stop (client lost) by client of a to a",
+                                     "stop (client lost) by client of b to b"));
+    EXPECT_THAT(std::vector(lines.begin() + 2, lines.end()), UnorderedElementsAre("lost to a", "lost to b"));
+}
+
 TEST_F(FrontEndTest, ShortTasksOneAfterAnotherDoNotHideASilentClient) {
     entity("e1");
     const auto peer = join();
@@ -1423,6 +1437,42 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
     EXPECT_TRUE(data->disconnected);
 }
 
+TEST_F(FrontEndTest, ABusyClientHearsAHeartbeatInEachFifthOfTheWatchdogBetween50And200Ms) {
+    for (const auto [watchdog, period] :
+         {std::pair{100ms, 50ms}, {250ms, 50ms}, {500ms, 100ms}, {1000ms, 200ms}, {2000ms, 200ms}}) {
+        SCOPED_TRACE(watchdog.count());
+        settings.watchdog_busy = watchdog;
+        FrontEndCore its(
+            settings, clock, random, topic, [](const std::string&) {}, [] {});
+        const auto signal = std::make_shared<FakeOutbox>();
+        const auto client =
+            its.setCallback("client1", Role::Operator, std::make_shared<FakeOutbox>()).value();
+        ASSERT_TRUE(its.attach(FrontEndCore::token(*client), signal).ok());
+        Registration registration;
+        registration.entity = registration.name = "e1";
+        its.entityBasicPrflUpdate(Presence::Joined, registration, "");
+        auto head = to("e1");
+        head.msg_type = kMsgCheckOut;
+        its.sendToEntity(client, head, "check-out");
+        EntityStatus busy;
+        busy.entity = "e1";
+        busy.state = EntityState::BUSY;
+        busy.holder = FrontEndCore::me(*client);
+        its.entityUpdate(busy);
+        its.onTimer();
+        const int before = signal->heartbeats;
+        for (int beat = 1; beat <= 10; ++beat) {
+            clock.advance(period - 1ms);
+            its.onTimer();
+            EXPECT_EQ(signal->heartbeats, before + beat - 1);
+            clock.advance(1ms);
+            its.keepAlive(client);
+            its.onTimer();
+            EXPECT_EQ(signal->heartbeats, before + beat);
+        }
+    }
+}
+
 class OneOfSeveral : public FrontEndTest {
   protected:
     static FrontEndCoreSettings named() {
@@ -1466,6 +1516,20 @@ class OneOfSeveral : public FrontEndTest {
     FrontEndCore several{
         named(), clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
 };
+
+TEST_F(OneOfSeveral, TheEntitiesOfAServerThatRefusesConnectionsLeaveWithTheNextHeartbeat) {
+    for (const auto* server : {"es1", "es2"}) announce(Lane::Signal, server, 1);
+    entityAt("es1", "e1");
+    entityAt("es2", "e2");
+    passHere(1ms);
+    const auto [data, client] = joinHere();
+    data->take();
+    several.entityServerRefused("es1", "signals of es1");
+    passHere(73ms);
+    EXPECT_THAT(data->take(), IsEmpty());
+    passHere(1ms);
+    EXPECT_THAT(data->take(), ElementsAre("left e1"));
+}
 
 TEST_F(OneOfSeveral, LeavesTheClientsOfOthersToThem) {
     entityAt("es1", "e1");

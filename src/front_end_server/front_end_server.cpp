@@ -18,6 +18,7 @@ struct FrontEndServer::Parts {
               [this](const Header& head, const Refusal& refusal) {
                   core.entityRefusal(Lane::Data, head, refusal);
               },
+              [this](const auto& server, const auto& signals) { core.entityServerRefused(server, signals); },
               settings.links),
           core(
               settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),

@@ -94,9 +94,11 @@ Refusal topicDown() {
 IceEntityTopic::IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
                                const std::shared_ptr<Ice::Communicator>& signal,
                                std::function<void(const Header&, const Refusal&)> lost,
+                               std::function<void(const std::string&, const std::string&)> refused,
                                transport::LinkTrust* links)
     : lost_([lost = std::move(lost)](const Header& head) { lost(head, topicDown()); }),
-      publisher_(data, signal, "front-end server", links, certificates::Kind::EntityServer) {}
+      publisher_(data, signal, "front-end server", std::move(refused), links,
+                 certificates::Kind::EntityServer) {}
 
 void IceEntityTopic::end() {
     publisher_.publishTo({});  // what still waits there is refused while there is a core to do it

@@ -46,10 +46,13 @@ class IceClientOutbox final : public ClientOutbox {
 class IceEntityTopic final : public EntityTopic {
   public:
     /// `signal`: the communicator of signals between servers. `lost` is called for a client's control message
-    /// that found nobody after it was taken; any thread.
+    /// that found nobody after it was taken, and `refused` when a connection to where an entity server takes
+    /// signals was refused; any thread.
     IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
                    const std::shared_ptr<Ice::Communicator>& signal,
-                   std::function<void(const Header&, const Refusal&)> lost, transport::LinkTrust* links);
+                   std::function<void(const Header&, const Refusal&)> lost,
+                   std::function<void(const std::string& server, const std::string& signals)> refused,
+                   transport::LinkTrust* links);
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& entity_servers) { publisher_.publishTo(entity_servers); }
     /// Before anything is published: where this server takes signals and messages directly.

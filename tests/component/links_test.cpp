@@ -98,6 +98,7 @@ class Links : public testing::Test {
         return properties->getPropertiesForPrefix("Ice");
     }
     Properties issued(Kind kind, const std::string& name) const { return issued(ours, kind, name); }
+    Neighbours::Timeouts neighbours;  ///< of entity servers, at the front-end server
 
     server::ServerSettings settings(ServerRole role, const std::string& name) const {
         auto its = onLoopback();
@@ -111,6 +112,7 @@ class Links : public testing::Test {
         its.topic_manager = "IceStorm/TopicManager:" + ssl(10430);
         its.ice_properties = issued(front_end ? Kind::FrontEnd : Kind::EntityServer, name);
         its.front_end.watchdog_idle = 10min;  // the stubs send no keepAlive
+        its.front_end.entity_servers = neighbours;
         its.audit.folder = (folder / ("audit-" + name)).string();
         return its;
     }
@@ -292,10 +294,19 @@ TEST_F(Links, IceStormMayDieAndComeBackAndStopsNeedItNot) {
 }
 
 TEST_F(Links, AServerThatComesBackIsReachedAgain) {
+    neighbours.idle = neighbours.met = 10min;  // it is not silence by which its end is noticed
     ASSERT_NO_FATAL_FAILURE(startAll());
     ASSERT_TRUE(reaches()) << kLog->all();
+    // A receipt comes twice, too, when the front-end server hears the other one straight.
+    ASSERT_TRUE(waitUntil([&] {
+        Header receipt = robot->headTo(client->facts.me.id);
+        receipt.msg_type = kMsgReceipt;
+        const auto before = client->log.count("signal msg");
+        robot->signalOneway()->sendToClient(transport::toIce(receipt), toRange("receipt"));
+        return waitUntil([&] { return client->log.count("signal msg") == before + 2; }, 300ms);
+    })) << kLog->all();
     es1.reset();
-    EXPECT_TRUE(waitUntil([&] { return client->log.has("left PeopleBot"); }));
+    EXPECT_TRUE(waitUntil([&] { return client->log.has("left PeopleBot"); }, 10s)) << "its port refuses";
     es1 = std::make_unique<server::Server>(settings(ServerRole::Entity, "es1"));
     robot = newRobot();
     EXPECT_TRUE(waitUntil([&] { return client->log.count("joined PeopleBot") == 2; })) << kLog->all();

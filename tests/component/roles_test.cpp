@@ -12,6 +12,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <memory>
 
@@ -421,6 +422,41 @@ TEST_F(RealServers, AKilledFrontEndServerHasLostItsClientsWithinTheWatchdog) {
     EXPECT_TRUE(waitUntil([&] { return again.log.has("joined Robot"); }, 5s));
     again.text(kFirst, "here again");
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT here again"); }, 5s));
+}
+
+TEST_F(RealServers, AKilledServerIsMissedByItsPortBeforeAnyWatchdog) {
+    startStorm();
+    RawEntity robot(start("es1").ready("entity"), kFirst);
+    robot.join();
+    RawClient client(start("fe1").ready("client"));
+    RawClient other(start("fe2").ready("client"), "client2@lab");
+    for (auto* one : {&client, &other}) ASSERT_TRUE(waitUntil([&] { return one->log.has("joined Robot"); }));
+    // Two copies each way: the servers have heard each other straight, and each watchdog is 2 s, because no
+    // task runs.
+    const auto id = client.facts.me.id;
+    for (auto* one : {&client, &other}) {
+        ASSERT_TRUE(reaches(*one, robot));
+        Header receipt = robot.headTo(one->facts.me.id);
+        receipt.msg_type = kMsgReceipt;
+        ASSERT_TRUE(waitUntil([&] {
+            const auto before = one->log.count("signal msg");
+            robot.signalOneway()->sendToClient(transport::toIce(receipt), toRange("receipt"));
+            return waitUntil([&] { return one->log.count("signal msg") == before + 2; }, 300ms);
+        }));
+    }
+    robot.status(EntityState::REG, id);
+    ASSERT_TRUE(waitUntil([&] { return other.log.has(std::string("status ") + kFirst + " REG"); }));
+
+    const auto within = [](const std::function<bool()>& seen) {
+        const auto begin = std::chrono::steady_clock::now();
+        EXPECT_TRUE(waitUntil(seen, 5s));
+        return std::chrono::steady_clock::now() - begin;
+    };
+    programs["fe1"]->kill();
+    EXPECT_LT(within([&] { return robot.log.has("signal client lost " + id); }), 1500ms)
+        << programs["es1"]->text();
+    programs["es1"]->kill();
+    EXPECT_LT(within([&] { return other.log.has("left Robot"); }), 1500ms) << programs["fe2"]->text();
 }
 
 TEST_F(RealServers, TheEntitiesOfAKilledEntityServerHaveLeftAndComeBackWithIt) {

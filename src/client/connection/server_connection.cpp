@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "client/connection/send_queue.hpp"
+#include "common/heartbeat.hpp"
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
@@ -237,6 +238,10 @@ ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, trans
     return lane;
 }
 
+std::shared_ptr<Ice::Endpoint> ServerConnection::endpoint() const {
+    return data_.connection->get()->getEndpoint();
+}
+
 Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
     const LaneHome& data, const LaneHome& signal, const Login& login,
     const std::shared_ptr<ConnectionEvents>& events, const Clock& clock) {
@@ -245,7 +250,9 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
     connection->attempt_ = login.attempt;
     connection->routed_ = data.router != nullptr;
     try {
-        connection->data_ = openLane(data, dataLimits(), login.endpoint.text(), {}, login, events, beats);
+        auto its_data = data;
+        if (connection->routed_) its_data.router = transport::lostLast(data.router, login.lost_router);
+        connection->data_ = openLane(its_data, dataLimits(), login.endpoint.text(), {}, login, events, beats);
         const auto facts = connection->data_.session->setCallback(connection->data_.callback);
         connection->me_ = transport::fromIce(Axon::CommUtil::Sender(facts.me));
         connection->entities_ = facts.entities;
@@ -253,6 +260,7 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
             connection->watchdogs_.busy = std::chrono::milliseconds{facts.watchdogBusyMs};
         if (facts.watchdogIdleMs > 0)
             connection->watchdogs_.idle = std::chrono::milliseconds{facts.watchdogIdleMs};
+        beats->expect(heartbeatToBusyClient(connection->watchdogs_.busy));
         const auto endpoint =
             facts.signalEndpoint.empty()
                 ? login.endpoint.text()

@@ -36,6 +36,8 @@ struct Login {
     std::string user, password, display_name;
     std::uint64_t attempt = 0;
     Duration timeout{};
+    std::shared_ptr<Ice::Endpoint> lost_router =
+        {};  ///< of the session before, tried last; null: there is none
 };
 
 /// Two sessions with a server, joined: data and signals, each over a connection of its communicator
@@ -55,6 +57,8 @@ class ServerConnection final : public DataLane, public StopLanes {
 
     const Sender& me() const { return me_; }
     int entities() const { return entities_; }
+    /// Where the data lane leads: of a router, for Login::lost_router.
+    std::shared_ptr<Ice::Endpoint> endpoint() const;
     const Watchdogs& watchdogs() const { return watchdogs_; }
     std::uint64_t attempt() const { return attempt_; }
 

@@ -31,7 +31,7 @@ class Watches;
 /// Settings of one session's behaviour.
 struct SessionCoreSettings {
     Duration timeout = std::chrono::seconds{5};              ///< of every request that waits for an answer
-    Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats of the server missed
+    Duration server_silence_busy = std::chrono::seconds{1};  ///< 5 to 20 heartbeats of the server missed
     Duration server_silence_idle = std::chrono::seconds{10};
     std::size_t tasks_kept = 1024;  ///< finished tasks whose reports can still be asked for
     std::size_t runs_kept = 64;     ///< finished runs whose reports can still be asked for

@@ -22,7 +22,7 @@ StopCause causeOf(Ending ending) {
 
 }  // namespace
 
-void Settlement::settle(const Sender& client, Ending ending, const Holdings::Held& held) {
+void Settlement::stop(const Sender& client, Ending ending, const Holdings::Held& held) {
     if (AXON_PLANTED(LostClientForgotten) && ending == Ending::Lost) return;
     Header head;
     head.sender = client;
@@ -38,6 +38,10 @@ void Settlement::settle(const Sender& client, Ending ending, const Holdings::Hel
     } else if (!stopped.empty()) {
         topic_.stopSignals(head, stopped, causeOf(ending));
     }
+}
+
+void Settlement::tellGone(const Sender& client, Ending ending, const Holdings::Held& held) {
+    if (AXON_PLANTED(LostClientForgotten) && ending == Ending::Lost) return;
     for (const auto& [entity, busy] : held) tellGone(client, entity, ending);
 }
 

@@ -14,16 +14,19 @@ namespace axon::front_end_server {
 
 /// What entities are told when a client is gone.
 ///
-/// Every entity that it held is stopped, all of them before anything else is said: no entity's stop waits for
-/// another one's paperwork. Only one on which no task runs is not stopped, if its client ended the session in
-/// order. Threads: any, concurrently; no lock. Failure: none.
+/// Every entity that it held is stopped, and where several clients fall silent at once, those of all of them
+/// before anything else is said: no entity's stop waits for another one's paperwork. Only one on which no
+/// task runs is not stopped, if its client ended the session in order. Threads: any, concurrently; no lock.
+/// Failure: none.
 class Settlement {
   public:
     Settlement(const Clock& clock, EntityTopic& topic) : clock_(clock), topic_(topic) {}
 
-    /// For the entities that it held.
-    void settle(const Sender& client, Ending ending, const Holdings::Held& held);
-    /// For one that it did not hold, but which may know of it.
+    /// First: the entities that it held.
+    void stop(const Sender& client, Ending ending, const Holdings::Held& held);
+    /// Then the same are told why.
+    void tellGone(const Sender& client, Ending ending, const Holdings::Held& held);
+    /// One that it did not hold, but which may know of it.
     void tellGone(const Sender& client, const std::string& entity, Ending ending);
 
   private:

@@ -43,29 +43,33 @@ class SettlementTest : public testing::Test {
     const Sender client{"c1", "ann", Role::Operator};
 };
 
-TEST_F(SettlementTest, AllAreStoppedBeforeAnythingElseIsSaid) {
-    settlement.settle(client, Ending::Lost, {{"a", false}, {"b", true}});
-    EXPECT_THAT(topic.take(), ElementsAre("client lost to a b", "lost to a", "lost to b"));
-    settlement.settle(client, Ending::Improper, {{"a", false}});
-    EXPECT_THAT(topic.take(), ElementsAre("improper client to a", "lost to a"));
+TEST_F(SettlementTest, WhatAClientHeldIsStoppedByOneMessage) {
+    settlement.stop(client, Ending::Lost, {{"a", false}, {"b", true}});
+    EXPECT_THAT(topic.take(), ElementsAre("client lost to a b"));
+    settlement.stop(client, Ending::Improper, {{"a", false}});
+    EXPECT_THAT(topic.take(), ElementsAre("improper client to a"));
 }
 
 TEST_F(SettlementTest, AnOrderlyEndStopsOnlyWhereATaskRuns) {
-    settlement.settle(client, Ending::Ended, {{"a", false}, {"b", true}});
-    EXPECT_THAT(topic.take(), ElementsAre("released to b", "ended to a", "ended to b"));
-    settlement.settle(client, Ending::Ended, {{"a", false}});
-    EXPECT_THAT(topic.take(), ElementsAre("ended to a"));
+    settlement.stop(client, Ending::Ended, {{"a", false}, {"b", true}});
+    EXPECT_THAT(topic.take(), ElementsAre("released to b"));
+    settlement.stop(client, Ending::Ended, {{"a", false}});
+    EXPECT_THAT(topic.take(), IsEmpty());
 }
 
 TEST_F(SettlementTest, OneThatHeldNothingStopsNothing) {
-    settlement.settle(client, Ending::Lost, {});
+    settlement.stop(client, Ending::Lost, {});
     EXPECT_THAT(topic.take(), IsEmpty());
+}
+
+TEST_F(SettlementTest, OneThatKnowsOfTheClientHearsHowItEnded) {
     settlement.tellGone(client, "a", Ending::Lost);
-    EXPECT_THAT(topic.take(), ElementsAre("lost to a"));
+    settlement.tellGone(client, Ending::Ended, {{"b", true}, {"c", false}});
+    EXPECT_THAT(topic.take(), ElementsAre("lost to a", "ended to b", "ended to c"));
 }
 
 TEST_F(SettlementTest, EachStopHasANumberThatNoClientGives) {
-    for (int i = 0; i < 2; ++i) settlement.settle(client, Ending::Lost, {{"a", true}});
+    for (int i = 0; i < 2; ++i) settlement.stop(client, Ending::Lost, {{"a", true}});
     EXPECT_THAT(topic.numbers, ElementsAre(kServerSequences + 1, kServerSequences + 2));
 }
 

@@ -18,7 +18,6 @@ struct FrontEndCoreSettings {
     Neighbours::Timeouts entity_servers;
     Duration watchdog_busy = std::chrono::milliseconds{250};  ///< safety.md, "Watchdogs"
     Duration watchdog_idle = std::chrono::seconds{10};
-    Duration heartbeat_busy = std::chrono::milliseconds{50};
     Duration heartbeat_idle = std::chrono::seconds{2};
     std::size_t clients_max = 4096;
     std::size_t clients_remembered = 1024;  ///< that are gone, and might be granted an entity late

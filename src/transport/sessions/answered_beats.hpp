@@ -14,24 +14,25 @@ namespace axon::transport {
 /// Threads: any; there is no lock. One for each session.
 class AnsweredBeats {
   public:
-    /// By default two periods of the heartbeats while a task runs: then one is late. A server that beats more
-    /// slowly, as without a task, is mostly asked.
-    static constexpr std::chrono::milliseconds kHeardLately{100};
+    explicit AnsweredBeats(const Clock& clock) : clock_(clock) { expect(std::chrono::milliseconds{50}); }
 
-    explicit AnsweredBeats(const Clock& clock) : clock_(clock) {}
-
+    /// The period of the server's heartbeats while a task runs; 50 ms until it is told. After two periods
+    /// without one an answer is wanted. While the server beats more slowly, as without a task, it is mostly
+    /// asked.
+    void expect(Duration period) { silent_after_ = 2 * period.count(); }
     /// A heartbeat of the server has come.
     void heard() { heard_.store(clock_.now().time_since_epoch().count(), std::memory_order_relaxed); }
     /// Whether the sign of life that is sent now is to want an answer; if so, answered() follows it.
     bool ask() {
         const TimePoint heard{Duration{heard_.load(std::memory_order_relaxed)}};
-        return clock_.now() - heard > kHeardLately && !asked_.exchange(true);
+        return (clock_.now() - heard).count() > silent_after_ && !asked_.exchange(true);
     }
     void answered() { asked_ = false; }
 
   private:
     const Clock& clock_;
     std::atomic<Duration::rep> heard_{0};  // long ago: nothing has been heard yet
+    std::atomic<Duration::rep> silent_after_;
     std::atomic<bool> asked_{false};
 };
 

@@ -20,6 +20,17 @@ TEST(AnsweredBeats, AServerThatBeatsIsNotAsked) {
     }
 }
 
+TEST(AnsweredBeats, AServerWithALongerWatchdogBeatsMoreSlowly) {
+    ManualClock clock;
+    AnsweredBeats beats(clock);
+    beats.expect(100ms);
+    beats.heard();
+    clock.advance(200ms);
+    EXPECT_FALSE(beats.ask());
+    clock.advance(1ms);
+    EXPECT_TRUE(beats.ask());
+}
+
 TEST(AnsweredBeats, AServerThatIsSilentIsAskedUntilItAnswersAndOnceAtATime) {
     ManualClock clock;
     AnsweredBeats beats(clock);

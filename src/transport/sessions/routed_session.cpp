@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <atomic>
 #include <mutex>
+#include <random>
 #include <stdexcept>
 #include <utility>
 #include <vector>
@@ -196,7 +197,9 @@ std::string wayToRouter(const std::string& router, bool has_certificate) {
 
 std::optional<int> routerTriedFor(const std::string& router) {
     constexpr int kOneOfSeveralMs = 300;
-    return isRouter(router) && partsOf(router).size() > 2 ? std::optional(kOneOfSeveralMs) : std::nullopt;
+    constexpr int kWithHandshakeMs = 1000;
+    if (!isRouter(router) || partsOf(router).size() <= 2) return std::nullopt;
+    return isTlsRouter(router) ? kWithHandshakeMs : kOneOfSeveralMs;
 }
 
 std::shared_ptr<Ice::ObjectPrx> sameRouter(const std::shared_ptr<Ice::ObjectPrx>& router,
@@ -206,6 +209,23 @@ std::shared_ptr<Ice::ObjectPrx> sameRouter(const std::shared_ptr<Ice::ObjectPrx>
     const auto one =
         router->ice_getCommunicator()->stringToProxy("router:" + connection.getEndpoint()->toString());
     return router->ice_endpoints(one->ice_getEndpoints());
+}
+
+std::shared_ptr<Ice::ObjectPrx> lostLast(const std::shared_ptr<Ice::ObjectPrx>& router,
+                                         const std::shared_ptr<Ice::Endpoint>& lost) {
+    auto endpoints = router->ice_getEndpoints();
+    if (!lost || endpoints.size() < 2) return router;
+    const auto placeOf = [](const Ice::Endpoint& endpoint) {
+        auto info = endpoint.getInfo();
+        while (info && info->underlying) info = info->underlying;
+        const auto ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(info);
+        return ip ? std::pair(ip->host, ip->port) : std::pair(std::string(), 0);
+    };
+    if (router->ice_getEndpointSelection() == Ice::EndpointSelectionType::Random)
+        std::shuffle(endpoints.begin(), endpoints.end(), std::random_device());
+    std::stable_partition(endpoints.begin(), endpoints.end(),
+                          [&](const auto& endpoint) { return placeOf(*endpoint) != placeOf(*lost); });
+    return router->ice_endpoints(endpoints)->ice_endpointSelection(Ice::EndpointSelectionType::Ordered);
 }
 
 bool isTlsRouter(const std::string& router) {

@@ -50,7 +50,8 @@ bool isRouter(const std::string& server);
 std::string wayToRouter(const std::string& router, bool has_certificate);
 
 /// How long a new connection to one of several routers may take before the next one is tried, in
-/// milliseconds. Nothing where the proxy has one endpoint, or is the address of a server.
+/// milliseconds: longer over TLS, because when a router is lost, all its peers shake hands with another one
+/// at once. Nothing where the proxy has one endpoint, or is the address of a server.
 std::optional<int> routerTriedFor(const std::string& router);
 
 /// The proxy of one of several routers: that to which this connection leads. Both lanes of a peer go through
@@ -58,6 +59,14 @@ std::optional<int> routerTriedFor(const std::string& router);
 /// and the half with the heartbeats would hide it.
 std::shared_ptr<Ice::ObjectPrx> sameRouter(const std::shared_ptr<Ice::ObjectPrx>& router,
                                            const Ice::Connection& connection);
+
+/// The proxy of several routers, the one at this endpoint last: the session through it was lost, and a router
+/// that stands still would take the whole time of a new connection. The others are in random order, unless
+/// the proxy's is fixed; that of what is returned is. Only for the next attempt: a router that answers and
+/// refuses must not keep a peer from the others. As it is where nothing was lost (null) or there is one
+/// router.
+std::shared_ptr<Ice::ObjectPrx> lostLast(const std::shared_ptr<Ice::ObjectPrx>& router,
+                                         const std::shared_ptr<Ice::Endpoint>& lost);
 
 /// Whether such a router is reached over TLS.
 bool isTlsRouter(const std::string& router);

@@ -32,6 +32,10 @@ TEST(WayToARouter, OneOfSeveralIsGivenUpSoon) {
     const auto soon = routerTriedFor("Axon.Clients/router:tcp -h a -p 1:tcp -h b -p 2");
     ASSERT_TRUE(soon);
     EXPECT_LE(*soon, 500) << "two lanes try up to twice, and everything is to be usable within 5 s";
+    const auto handshake = routerTriedFor("Axon.Clients/router:ssl -h a -p 1:ssl -h b -p 2");
+    ASSERT_TRUE(handshake);
+    EXPECT_GT(*handshake, *soon) << "all peers of a lost router shake hands with another one at once";
+    EXPECT_LE(*handshake, 1000) << "the lost one is tried last, so one more of them may be away";
     EXPECT_FALSE(routerTriedFor("Axon.Clients/router:tcp -h a -p 1"));
     EXPECT_FALSE(routerTriedFor("Axon.Clients/router:tcp -h \"::1\" -p 1"));
     EXPECT_FALSE(routerTriedFor("127.0.0.1:10410"));

@@ -42,15 +42,20 @@ namespace axon::transport {
 template <class Prx>
 class TopicPublisher {
   public:
+    /// A connection to `signals`, where that neighbour said that it takes signals, was refused. Any thread.
+    using Refused = std::function<void(const std::string& server, const std::string& signals)>;
+
     /// `data`, `signal`: of their connections; null where nothing will be published. `who` is for the log.
+    /// What `refused` uses outlives both communicators.
     /// `links`: of a server whose links are under TLS, and `neighbours` is the kind of the servers; null: the
     /// links are plain.
     TopicPublisher(std::shared_ptr<Ice::Communicator> data, std::shared_ptr<Ice::Communicator> signal,
-                   std::string who, LinkTrust* links = nullptr,
+                   std::string who, Refused refused, LinkTrust* links = nullptr,
                    certificates::Kind neighbours = certificates::Kind::Server)
         : data_communicator_(std::move(data)),
           signal_communicator_(std::move(signal)),
           who_(std::move(who)),
+          refused_(std::move(refused)),
           links_(links),
           neighbours_(neighbours) {}
 
@@ -134,7 +139,7 @@ class TopicPublisher {
     template <class Call>
     void announce(Lane lane, std::size_t bytes, const Call& call) {
         reopen();
-        if (lane == Lane::Signal) return toNeighbours(lane, Traffic::Heartbeat, std::size_t{0}, call);
+        if (lane == Lane::Signal) return beat(call);
         toAll(Traffic::Control, bytes, call);
     }
 
@@ -208,6 +213,34 @@ class TopicPublisher {
     static constexpr std::chrono::seconds kPatience{2};
     static constexpr std::chrono::seconds kTryAgain{1};
 
+    /// Tells each neighbour that this server lives. Over plain TCP Ice opens a closed connection again for
+    /// that, and learns whether it is refused; over TLS unreached() does.
+    template <class Call>
+    void beat(const Call& call) const {
+        const auto routes = directRoutes(Lane::Signal);
+        for (const auto& route : *routes) {
+            if (!route.sender) continue;
+            route.sender->send(
+                Traffic::Heartbeat, std::size_t{0},
+                [this, call, place = route.place](Prx& prx, Answered answered, Failed then, Sent sent) {
+                    const auto fails = [this, place, then = std::move(then)](std::exception_ptr error) {
+                        if (isRefused(error)) refused_(place.server, place.proxy);
+                        then(std::move(error));
+                    };
+                    call(prx, std::move(answered), fails, std::move(sent));
+                });
+        }
+    }
+    static bool isRefused(const std::exception_ptr& error) {
+        try {
+            std::rethrow_exception(error);
+        } catch (const Ice::ConnectionRefusedException&) {
+            return true;
+        } catch (...) {
+            return false;
+        }
+    }
+
     OutboxLimits limitsOf(const Snapshot<Routes>& list) const {
         return &list == &signal_ || &list == &direct_ ? OutboxLimits::ofSignals() : OutboxLimits{};
     }
@@ -238,12 +271,12 @@ class TopicPublisher {
                         connected(*list, route, to);
                         done->set_value();
                     },
-                    [this, route = route, done](const std::exception_ptr& error) {
-                        unreached(route, error);
+                    [this, list = list, route = route, done](const std::exception_ptr& error) {
+                        unreached(*list, route, error);
                         done->set_value();
                     });
             } catch (const Ice::Exception&) {
-                unreached(route, std::current_exception());
+                unreached(*list, route, std::current_exception());
                 done->set_value();
             }
         }
@@ -273,7 +306,8 @@ class TopicPublisher {
             return store(list, std::move(all));
         }
     }
-    void unreached(const Route& route, const std::exception_ptr& error) {
+    void unreached(const Snapshot<Routes>& list, const Route& route, const std::exception_ptr& error) {
+        if (&list == &direct_ && isRefused(error)) refused_(route.place.server, route.place.proxy);
         try {
             std::rethrow_exception(error);
         } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
@@ -351,6 +385,7 @@ class TopicPublisher {
     const std::shared_ptr<Ice::Communicator> data_communicator_;
     const std::shared_ptr<Ice::Communicator> signal_communicator_;
     const std::string who_;
+    const Refused refused_;
     LinkTrust* const links_;  // null: the links are plain
     const certificates::Kind neighbours_;
     std::string own_signals_, own_messages_;  // constant after setDirect()

@@ -150,6 +150,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
         if (!up_) return;
         busy_period_ = std::chrono::milliseconds(registration.heartbeat_busy_ms);
+        answered_->expect(busy_period_);
         idle_period_ = std::chrono::milliseconds(registration.heartbeat_idle_ms);
         // A call of its own: it wants an answer on any way, which tells that the entity is registered.
         const auto call =
@@ -344,7 +345,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     template <class Then>
     void openThroughRouter(std::uint64_t attempt, Lane lane, const std::string& token, Then then) {
         auto router = transport::routerProxy(*communicator(lane), address_.router);
-        if (lane == Lane::Signal) router = transport::sameRouter(router, *data_connection_);
+        router = lane == Lane::Signal ? transport::sameRouter(router, *data_connection_)
+                                      : transport::lostLast(router, std::exchange(lost_router_, nullptr));
         transport::openRoutedSession(
             router, {address_.user, address_.password, {}, token, kLoginTimeoutMs},
             [weak = weak_from_this(), attempt, lane, then](const transport::RoutedSession& routed) {
@@ -529,6 +531,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         }
         retry_.cancel();
         beat_.cancel();
+        if (data_connection_ && !address_.router.empty()) lost_router_ = data_connection_->getEndpoint();
         forget(data_callback_, ice_->dataAdapter());
         forget(signal_callback_, ice_->signalAdapter());
         for (auto* connection : {&data_connection_, &signal_connection_}) {
@@ -561,7 +564,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_;
-    std::shared_ptr<transport::AnsweredBeats> answered_;             // of the attempt, and so of its session
+    std::shared_ptr<transport::AnsweredBeats> answered_;  // of the attempt, and so of its session
+    std::shared_ptr<Ice::Endpoint> lost_router_;  // where the last data lane led; of the next attempt only
     std::unique_ptr<const LaneOutbox> data_outbox_, signal_outbox_;  // while it is up
     Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;
