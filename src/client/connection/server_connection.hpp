@@ -36,8 +36,8 @@ struct Login {
     std::string user, password, display_name;
     std::uint64_t attempt = 0;
     Duration timeout{};
-    std::shared_ptr<Ice::Endpoint> lost_router =
-        {};  ///< of the session before, tried last; null: there is none
+    /// Of the session before, tried last; null: there is none.
+    std::shared_ptr<Ice::Endpoint> lost_router = {};
 };
 
 /// Two sessions with a server, joined: data and signals, each over a connection of its communicator
