@@ -50,8 +50,9 @@ def test_a_cut_resets_what_is_connected_and_refuses_what_comes(target, valve):
 
 
 def test_an_end_waits_for_nothing(target):
-    target.listen()
-    for _ in range(200):
+    rounds = 200
+    target.listen(rounds)  # nobody accepts, and to a full queue no relay connects
+    for _ in range(rounds):
         valve = Valve(target.getsockname()[1])
         connected(valve).close()
         valve.end()
