@@ -18,6 +18,7 @@
 #include "common/utf8.hpp"
 #include "front_end_server/clients/admission.hpp"
 #include "front_end_server/clients/client.hpp"
+#include "front_end_server/clients/silence.hpp"
 
 namespace axon::front_end_server {
 
@@ -863,16 +864,10 @@ TimePoint FrontEndCore::onTimer() {
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
         next = now + std::chrono::seconds{1};
+        for (auto& [client, why] : silentAt(clients_.byId(), now))
+            silent.push_back({client, Ending::Lost, std::move(why), {}});
         for (const auto& [id, client] : clients_.byId()) {
-            if (client->liveness.expired(now)) {
-                const auto timeout =
-                    std::chrono::duration_cast<std::chrono::milliseconds>(client->liveness.timeout());
-                silent.push_back({client,
-                                  Ending::Lost,
-                                  "nothing was heard of it for " + std::to_string(timeout.count()) + " ms",
-                                  {}});
-                continue;
-            }
+            if (client->liveness.expired(now)) continue;
             if (now >= client->warn_again) {
                 if (const auto gap = client->liveness.longest(now); gap.part() >= Liveness::kWarnFrom) {
                     client->warn_again = now + Liveness::kWarnAgain;

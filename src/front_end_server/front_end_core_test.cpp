@@ -70,12 +70,14 @@ class FakeOutbox final : public ClientOutbox {
     void newUpdateMsg(RefusalCode, const std::string& text) override { lines.push_back("update " + text); }
     void newHeartbeat(std::int64_t) override { ++heartbeats; }
     void disconnect(bool, const std::string&) override { disconnected = true; }
+    const void* connection() const override { return router ? router : this; }
     std::vector<std::string> take() { return std::exchange(lines, {}); }
 
     std::vector<std::string> lines;
     int heartbeats = 0;
     bool disconnected = false;
-    bool slow = false;  ///< each entity has its share of what waits here
+    bool slow = false;             ///< each entity has its share of what waits here
+    const void* router = nullptr;  ///< null: there is none between
     Header last_head, refused_head;
     std::function<void()> while_told;
 };
@@ -161,8 +163,10 @@ class FrontEndTest : public testing::Test {
         FrontEndCore::ClientRef client;
         std::string id() const { return FrontEndCore::me(*client).id; }
     };
-    Peer join(const std::string& name = "client1", const std::string& user = {}, Role role = Role::Operator) {
+    Peer join(const std::string& name = "client1", const std::string& user = {}, Role role = Role::Operator,
+              const void* router = nullptr) {
         Peer peer;
+        peer.data->router = router;
         peer.client = core.setCallback(name, role, peer.data, user).value();
         EXPECT_TRUE(core.attach(FrontEndCore::token(*peer.client), peer.signal).ok());
         here.emplace(peer.id(), peer.client);
@@ -1156,6 +1160,21 @@ TEST_F(FrontEndTest, TheRobotsOfAllThatAreSilentStopBeforeAnythingElseIsSaid) {
     EXPECT_THAT(std::vector(lines.begin() + 2, lines.end()), UnorderedElementsAre("lost to a", "lost to b"));
 }
 
+TEST_F(FrontEndTest, TheRobotsOfAllBehindASilentRouterStopAtOnce) {
+    const int router = 0;
+    for (const auto* name : {"a", "b"}) {
+        entity(name);
+        status(name, EntityState::BUSY,
+               join(std::string("client of ") + name, {}, Role::Operator, &router).id());
+        pass(25ms);
+    }
+    pass(199ms);
+    EXPECT_THAT(topic.lines, IsEmpty());
+    pass(1ms);
+    EXPECT_EQ(topic.lines.size(), 4U);
+    EXPECT_EQ(core.clients(), 0U);
+}
+
 TEST_F(FrontEndTest, ShortTasksOneAfterAnotherDoNotHideASilentClient) {
     entity("e1");
     const auto peer = join();
@@ -1438,7 +1457,7 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
 }
 
 TEST_F(FrontEndTest, ABusyClientHearsAHeartbeatInEachFifthOfTheWatchdogBetween50And200Ms) {
-    for (const auto [watchdog, period] :
+    for (const auto& [watchdog, period] :
          {std::pair{100ms, 50ms}, {250ms, 50ms}, {500ms, 100ms}, {1000ms, 200ms}, {2000ms, 200ms}}) {
         SCOPED_TRACE(watchdog.count());
         settings.watchdog_busy = watchdog;

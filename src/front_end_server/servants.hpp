@@ -36,6 +36,7 @@ class IceClientOutbox final : public ClientOutbox {
     void newUpdateMsg(RefusalCode code, const std::string& text) override;
     void newHeartbeat(std::int64_t sequence) override;
     void disconnect(bool orderly, const std::string& why) override;
+    const void* connection() const override { return sender_.connection(); }
 
   private:
     const transport::PeerSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;

@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include "front_end_server/clients/deaf_outbox.hpp"
+
 namespace axon::front_end_server {
 namespace {
 
@@ -11,8 +13,8 @@ using namespace std::chrono_literals;
 class AdmissionTest : public testing::Test {
   protected:
     std::shared_ptr<Client> client(Role role = Role::Operator) {
-        return std::make_shared<Client>(Sender{"c1", "ann", role}, "token", nullptr, FrontEndCoreSettings{},
-                                        clock.now());
+        return std::make_shared<Client>(Sender{"c1", "ann", role}, "token", std::make_shared<DeafOutbox>(),
+                                        FrontEndCoreSettings{}, clock.now());
     }
     Result<bool> may(Client& of, const char* msg_type, std::size_t bytes = 1, const std::string& to = "a") {
         Header head;

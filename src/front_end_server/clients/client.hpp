@@ -38,6 +38,7 @@ class Client {
           token(std::move(its_token)),
           user(std::move(its_user)),
           data(std::move(its_data)),
+          connection(data->connection()),
           share(its_share ? std::move(its_share) : std::make_shared<UserShare>(settings)),
           surplus(is_surplus),
           rate(settings.messages_per_second),
@@ -50,6 +51,7 @@ class Client {
     const std::string token;
     const std::string user;  // who logged in; empty where nobody has a name
     const std::shared_ptr<ClientOutbox> data;
+    const void* const connection;            // of data; others may come by it, too
     const std::shared_ptr<UserShare> share;  // with the other sessions of the user
     const bool surplus;                      // beyond the sessions that the user may have
 

@@ -6,6 +6,8 @@
 
 #include <vector>
 
+#include "front_end_server/clients/deaf_outbox.hpp"
+
 namespace axon::front_end_server {
 namespace {
 
@@ -13,25 +15,12 @@ using testing::ElementsAre;
 using testing::IsEmpty;
 using testing::UnorderedElementsAre;
 
-class FakeOutbox final : public ClientOutbox {
-  public:
-    void newBasicPrflMsg(Presence, const Registration&, std::string_view) override {}
-    void newStatusMsg(const EntityStatus&) override {}
-    bool newEntityMsg(Lane, const Header&, std::string_view, QueueShare) override { return true; }
-    void newEntityMsgDataSeq(const Header&, std::string_view) override {}
-    void newRefusalMsg(const Header&, const Refusal&) override {}
-    void newStopAccepted(const Header&, std::int32_t) override {}
-    void newUpdateMsg(RefusalCode, const std::string&) override {}
-    void newHeartbeat(std::int64_t) override {}
-    void disconnect(bool, const std::string&) override {}
-};
-
 class ClientsTest : public testing::Test {
   protected:
     ClientRef add(const std::string& id) {
         auto client =
             std::make_shared<Client>(Sender{id, id, Role::Operator}, "token of " + id,
-                                     std::make_shared<FakeOutbox>(), FrontEndCoreSettings{}, TimePoint{});
+                                     std::make_shared<DeafOutbox>(), FrontEndCoreSettings{}, TimePoint{});
         clients.add(client);
         return client;
     }
@@ -63,7 +52,7 @@ TEST_F(ClientsTest, ASignalTakesTheDataLaneUntilTheSignalLaneIsAttached) {
         return its;
     };
     EXPECT_EQ(outbox(Lane::Signal), client->data.get());
-    const auto signal = std::make_shared<FakeOutbox>();
+    const auto signal = std::make_shared<DeafOutbox>();
     client->signal.store(std::make_shared<const std::shared_ptr<ClientOutbox>>(signal));
     EXPECT_EQ(outbox(Lane::Signal), signal.get());
     EXPECT_EQ(outbox(Lane::Data), client->data.get());

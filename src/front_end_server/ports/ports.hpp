@@ -32,6 +32,8 @@ class ClientOutbox {
     virtual void newHeartbeat(std::int64_t sequence) = 0;
     /// Ends the connection: orderly, after replies that are under way, or at once.
     virtual void disconnect(bool orderly, const std::string& why) = 0;
+    /// What tells its connection from others; those behind one router share one.
+    virtual const void* connection() const { return this; }
 };
 
 /// The topic towards the entity servers (thesis figure 3.15). `head.sender` is the client, vouched for by

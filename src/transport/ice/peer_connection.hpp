@@ -38,6 +38,9 @@ class PeerConnection {
     virtual bool routed() const = 0;
     /// Of which there is one session.
     virtual const void* key() const = 0;
+    /// What tells the connection from others: its own, or its router's, by which others come, too; null until
+    /// a router has brought its first call.
+    virtual const void* connection() const = 0;
     /// "127.0.0.1:50122", for logs.
     virtual std::string peer() const = 0;
     /// What no other connection that is open has (bothEnds()); empty behind a router, and once it has closed.
@@ -64,6 +67,7 @@ class DirectConnection final : public PeerConnection {
     void require(const Ice::Current& current) override;
     bool routed() const override { return false; }
     const void* key() const override { return connection_.get(); }
+    const void* connection() const override { return connection_.get(); }
     std::string peer() const override { return peerOf(*connection_); }
     std::string ends() const override { return endsOf(*connection_); }
     std::string localAddress() const override;

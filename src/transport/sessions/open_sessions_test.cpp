@@ -21,6 +21,7 @@ class Connection final : public PeerConnection {
     void require(const Ice::Current&) override {}
     bool routed() const override { return false; }
     const void* key() const override { return this; }
+    const void* connection() const override { return this; }
     std::string peer() const override { return peer_; }
     std::string ends() const override { return bothEnds(peer_, local_); }
     std::string localAddress() const override { return local_; }

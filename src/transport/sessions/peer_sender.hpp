@@ -59,6 +59,8 @@ class PeerSender : public ProxySender<Prx> {
         this->close();
     }
 
+    const void* connection() const { return peer_->connection(); }
+
   private:
     const std::shared_ptr<PeerConnection> peer_;
     const std::string server_;

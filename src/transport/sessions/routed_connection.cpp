@@ -124,6 +124,11 @@ void RoutedConnection::disconnect(CloseReason reason,
     }
 }
 
+const void* RoutedConnection::connection() const {
+    const std::lock_guard lock(mutex_);
+    return over_.get();
+}
+
 void RoutedConnection::ended(const std::string& otherwise) {
     std::function<void(const CloseReason&)> closed;
     CloseReason reason{false, otherwise};

@@ -89,6 +89,7 @@ class RoutedConnection final : public PeerConnection, public std::enable_shared_
     void require(const Ice::Current& current) override;
     bool routed() const override { return true; }
     const void* key() const override { return this; }
+    const void* connection() const override;
     std::string peer() const override { return peer_; }
     std::string ends() const override { return {}; }
     std::string localAddress() const override { return {}; }
@@ -101,7 +102,7 @@ class RoutedConnection final : public PeerConnection, public std::enable_shared_
     const std::shared_ptr<Glacier2::SessionControlPrx> control_;
     RouterConnections& routers_;
     const std::string peer_;
-    std::mutex mutex_;
+    mutable std::mutex mutex_;
     // Guarded by mutex_; over_ is set once:
     std::shared_ptr<Ice::Connection> over_;
     std::function<void(const CloseReason&)> closed_;
