@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <chrono>
+#include <condition_variable>
+#include <functional>
+#include <mutex>
+#include <stop_token>
+#include <string>
+#include <thread>
+
+namespace axon::router_guard {
+
+/// How much of the processor a router may use with real-time priority: a store of 100 ms that fills with an
+/// eighth of the time that passes. When it is empty there is no real time until half of it is full again.
+/// That is enough for heartbeats of 64 robots and their stops at once; a flood, or many who log in at the
+/// same time after a loss, does not get it for long. Threads: one. Failure: none.
+class CpuBudget {
+  public:
+    using Duration = std::chrono::nanoseconds;
+    static constexpr Duration kBurst = std::chrono::milliseconds{100};
+    static constexpr int kPart = 8;  // of the time that passes
+
+    /// Whether it may have real-time priority from now on; since the last call `passed`, and the process used
+    /// `used` of all processors.
+    bool allows(Duration used, Duration passed);
+
+  private:
+    Duration left_ = kBurst;
+    bool real_time_ = true;
+};
+
+/// The priority of a router, whose threads pass stops on between threads with real-time priority (ADR 0018):
+/// real time while CpuBudget allows it, and nice -10, which goes before ordinary programs, otherwise and
+/// where real time is not permitted. Holds for all threads of the process. What is not permitted is told
+/// once. Threads: begin() and end() one; a thread of its own looks a hundred times a second.
+class Priority {
+  public:
+    /// `tell`: a sentence for the log, from begin().
+    explicit Priority(std::function<void(const std::string&)> tell) : tell_(std::move(tell)) {}
+    ~Priority() { end(); }
+    Priority(const Priority&) = delete;
+    Priority& operator=(const Priority&) = delete;
+    /// Before the process starts other threads, which have what this one has.
+    void begin();
+    void end();
+
+  private:
+    void goBeforeOrdinaryPrograms();
+    void watch(const std::stop_token& ended);
+
+    const std::function<void(const std::string&)> tell_;
+    std::mutex mutex_;
+    std::condition_variable_any end_;
+    std::jthread watch_;
+};
+
+}  // namespace axon::router_guard

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "router_guard/priority.hpp"
+
+#include <gtest/gtest.h>
+#include <sched.h>
+#include <sys/resource.h>
+
+#include <atomic>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "support/loopback.hpp"
+
+namespace axon::router_guard {
+namespace {
+
+using namespace std::chrono_literals;
+using axon::test::waitUntil;
+
+TEST(CpuBudget, WhoUsesLittleKeepsRealTime) {
+    CpuBudget budget;
+    for (int i = 0; i < 10'000; ++i) ASSERT_TRUE(budget.allows(1ms, 10ms));
+}
+
+TEST(CpuBudget, ABurstIsNoFlood) {
+    CpuBudget budget;
+    for (int i = 0; i < 11; ++i) ASSERT_TRUE(budget.allows(10ms, 10ms)) << i;  // 96.25 of 100 ms
+    EXPECT_FALSE(budget.allows(10ms, 10ms));
+}
+
+TEST(CpuBudget, AFloodHasNoneUntilHalfOfTheStoreIsFullAgain) {
+    CpuBudget budget;
+    for (int i = 0; i < 100; ++i) budget.allows(20ms, 10ms);  // two processors
+    for (int i = 0; i < 40; ++i) ASSERT_FALSE(budget.allows(0ms, 10ms)) << i;
+    EXPECT_TRUE(budget.allows(0ms, 10ms));
+    for (int i = 0; i < 5; ++i) ASSERT_TRUE(budget.allows(10ms, 10ms)) << i;
+    EXPECT_FALSE(budget.allows(10ms, 10ms));
+}
+
+TEST(CpuBudget, AFloodThatGoesOnGetsNothingBack) {
+    CpuBudget budget;
+    for (int i = 0; i < 100; ++i) budget.allows(10ms, 10ms);
+    for (int i = 0; i < 1000; ++i) ASSERT_FALSE(budget.allows(1250us, 10ms)) << i;
+}
+
+/// The process as it was.
+struct Ordinary {
+    ~Ordinary() {
+        const sched_param none{};
+        ::sched_setscheduler(0, SCHED_OTHER, &none);
+        ::setpriority(PRIO_PROCESS, 0, 0);
+    }
+};
+
+TEST(Priority, AProcessThatNeedsAllOfAProcessorLosesRealTimeAndGetsItBack) {
+    const Ordinary afterwards;
+    std::vector<std::string> told;
+    Priority priority([&](const std::string& sentence) { told.push_back(sentence); });
+    priority.begin();
+    if (::sched_getscheduler(0) == SCHED_OTHER) {  // as without CAP_SYS_NICE
+        ASSERT_FALSE(told.empty());
+        EXPECT_NE(told.back().find("LimitRTPRIO=10"), std::string::npos) << told.back();
+        return;
+    }
+    std::atomic<bool> enough{false};
+    std::thread floods([&] {
+        while (!enough) {
+        }
+    });
+    EXPECT_TRUE(waitUntil([] { return ::sched_getscheduler(0) == SCHED_OTHER; }));
+    enough = true;
+    floods.join();
+    EXPECT_TRUE(waitUntil([] { return ::sched_getscheduler(0) == SCHED_FIFO; }));
+}
+
+}  // namespace
+}  // namespace axon::router_guard
