@@ -17,10 +17,25 @@ void Outbox::onSent(Traffic traffic, std::size_t bytes, SenderKey from) {
     pump();
 }
 
+std::uint64_t Outbox::numberOf(const AnsweredMessages::Message& message) {
+    const std::lock_guard lock(mutex_);
+    return answers_.onSend(message);
+}
+
+void Outbox::onAnswer(std::uint64_t number) {
+    {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [traffic, bytes, from] : answers_.onAnswer(number)) core_.sent(traffic, bytes, from);
+        if (!core_.startPump()) return;
+    }
+    pump();
+}
+
 void Outbox::sendAll() {
     {
         const std::lock_guard lock(mutex_);
         core_.openWindow();
+        answers_.askAlways();
         if (!core_.startPump()) return;
     }
     pump();

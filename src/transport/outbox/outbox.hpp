@@ -6,12 +6,13 @@
 #include <mutex>
 #include <string>
 
+#include "transport/outbox/answered_messages.hpp"
 #include "transport/outbox/outbox_core.hpp"
 
 namespace axon::transport {
 
 /// Given to each asynchronous call of Ice, which uses a twoway proxy where `answered` is set, a oneway proxy
-/// where `sent` is. `failed` or that one is called, once.
+/// otherwise. `failed` or what is set of the other two is called, once.
 struct SendCallbacks {
     std::function<void()> answered;
     std::function<void(std::exception_ptr)> failed;
@@ -21,8 +22,9 @@ struct SendCallbacks {
 /// When a message has left an outbox.
 enum class Until : std::uint8_t {
     Written,  ///< to the socket
-    /// Control and data: answered by the consumer. A router takes whatever it is sent, and its memory has no
-    /// bound but this one (and sendAll() goes beyond it). Signals and heartbeats never wait for an answer.
+    /// Control and data: answered by the consumer, it or one after it (AnsweredMessages). A router takes
+    /// whatever it is sent, and its memory has no bound but this one (and sendAll() goes beyond it). Signals
+    /// and heartbeats never wait for an answer.
     Answered
 };
 
@@ -41,7 +43,10 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     using Parcel = std::function<void(SendCallbacks&&)>;
 
     Outbox(OutboxLimits limits, Disconnect disconnect, Until until = Until::Written)
-        : disconnect_(std::move(disconnect)), until_(until), core_(limits) {}
+        : disconnect_(std::move(disconnect)),
+          until_(until),
+          core_(limits),
+          answers_(limits.window_bytes / kAsksInWindow) {}
     /// Whoever used it last held the mutex; that its reference was let go of before this one is counted in
     /// libIce, out of ThreadSanitizer's sight.
     ~Outbox() { const std::lock_guard lock(mutex_); }
@@ -79,22 +84,24 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         return true;
     }
     /// Gives Ice all that waits, however much that is, and what is posted afterwards: before an orderly end,
-    /// at which Ice sends what it has and then closes the connection.
+    /// at which Ice sends what it has and then closes the connection. Where messages are answered, each of
+    /// these is.
     void sendAll();
     void close();
     bool closed() const;
     OutboxCounts counts() const;
 
   private:
+    static constexpr std::size_t kAsksInWindow = 4;
+
     template <class Send>
     void launch(Traffic traffic, std::size_t bytes, SenderKey from, Send& send) {
         SendCallbacks back;
         auto self = shared_from_this();
         back.failed = [self](const std::exception_ptr& error) { self->fail(error); };
         if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
-            back.answered = [self = std::move(self), traffic, bytes, from] {
-                self->onSent(traffic, bytes, from);
-            };
+            if (const auto number = numberOf({traffic, bytes, from}))
+                back.answered = [self = std::move(self), number] { self->onAnswer(number); };
         } else {
             back.sent = [self = std::move(self), traffic, bytes, from](bool) {
                 self->onSent(traffic, bytes, from);
@@ -107,14 +114,18 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
                                              // tells the owner
         }
     }
+    /// 0: it need not be answered.
+    std::uint64_t numberOf(const AnsweredMessages::Message& message);
     void onSent(Traffic traffic, std::size_t bytes, SenderKey from);
+    void onAnswer(std::uint64_t number);
     void pump();
     void fail(const std::exception_ptr& error);
 
     const Disconnect disconnect_;
     const Until until_;
     mutable std::mutex mutex_;
-    OutboxCore<Parcel> core_;  // guarded by mutex_
+    OutboxCore<Parcel> core_;   // guarded by mutex_
+    AnsweredMessages answers_;  // guarded by mutex_; empty but where until_ is Answered
 };
 
 }  // namespace axon::transport

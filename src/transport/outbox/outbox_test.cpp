@@ -14,9 +14,9 @@ namespace {
 /// An outbox in front of a way that is told by hand what became of each message.
 class OutboxTest : public testing::Test {
   protected:
-    void begin(Until until) {
+    void begin(Until until, std::size_t window_bytes = 100) {
         OutboxLimits limits;
-        limits.window_bytes = 100;
+        limits.window_bytes = window_bytes;
         limits.control_bytes = 1000;
         limits.control_messages = 2;
         outbox = std::make_shared<Outbox>(
@@ -77,6 +77,32 @@ TEST_F(OutboxTest, BehindARouterControlAndDataHaveLeftWhenTheyAreAnsweredAndSign
     EXPECT_TRUE(ways[2].answered);
 }
 
+TEST_F(OutboxTest, BehindARouterAnAnswerHoldsForTheMessagesBeforeIt) {
+    begin(Until::Answered, 1000);
+    for (int i = 0; i < 4; ++i) post(Traffic::Control);
+    ASSERT_EQ(ways.size(), 4U);
+    EXPECT_TRUE(ways[0].answered);
+    EXPECT_FALSE(ways[1].answered || ways[2].answered);
+    EXPECT_TRUE(ways[3].answered) << "after a quarter of the window";
+    EXPECT_EQ(outbox->counts().unsent_bytes, 400U);
+    ways[0].answered();
+    EXPECT_EQ(outbox->counts().unsent_bytes, 300U);
+    ways[3].answered();
+    EXPECT_EQ(outbox->counts().unsent_bytes, 0U);
+    EXPECT_EQ(outbox->counts().sent, 4U);
+}
+
+TEST_F(OutboxTest, BehindARouterTheWindowOpensWithOneAnswer) {
+    begin(Until::Answered, 1000);
+    for (int i = 0; i < 12; ++i) post(Traffic::Control);
+    ASSERT_EQ(ways.size(), 10U) << "two wait";
+    std::size_t last = 0;
+    for (std::size_t i = 0; i < ways.size(); ++i)
+        if (ways[i].answered) last = i;
+    ways[last].answered();
+    EXPECT_EQ(ways.size(), 12U);
+}
+
 TEST_F(OutboxTest, BehindARouterAMessageThatDoesNotArriveEndsTheSessionOnce) {
     begin(Until::Answered);
     post(Traffic::Control);
@@ -106,6 +132,15 @@ TEST_F(OutboxTest, BeforeAnOrderlyEndAllThatWaitsIsSentInItsOrder) {
     post(Traffic::Control);
     EXPECT_EQ(ways.size(), 4U) << "the last word";
     EXPECT_TRUE(ends.empty());
+}
+
+TEST_F(OutboxTest, BehindARouterTheLastWordIsAnswered) {
+    begin(Until::Answered, 1000);
+    post(Traffic::Control);
+    outbox->sendAll();
+    post(Traffic::Control);
+    ASSERT_EQ(ways.size(), 2U);
+    EXPECT_TRUE(ways[1].answered);
 }
 
 TEST_F(OutboxTest, WhoReadsNothingIsDisconnectedForIt) {
