@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "router_guard/priority.hpp"
 
+#include <dirent.h>
 #include <fcntl.h>
 #include <sched.h>
 #include <sys/resource.h>
@@ -8,15 +9,16 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
 #include <ctime>
-#include <filesystem>
+#include <memory>
 
 namespace axon::router_guard {
 namespace {
 
 constexpr int kNice = -10;
-constexpr int kRealTime = 5;  // as Entity Managers and receipts, below all that passes on a signal
+constexpr int kRealTime = 5;  // as Entity Managers and receipts, below all else that passes on a signal
 constexpr auto kLooks = std::chrono::milliseconds{10};
 
 /// With kernel.sched_autogroup_enabled, Linux compares sessions first, and only within one its programs. 0,
@@ -37,17 +39,30 @@ int raiseSession() {
 }
 
 /// False where that is not permitted. A thread keeps its nice value while it has real-time priority.
-bool schedule(pid_t thread, bool real_time) {
+bool schedule(pid_t thread, int real_time) {
     sched_param parameters{};
-    parameters.sched_priority = real_time ? kRealTime : 0;
-    return ::sched_setscheduler(thread, real_time ? SCHED_FIFO : SCHED_OTHER, &parameters) == 0;
+    parameters.sched_priority = real_time;
+    return ::sched_setscheduler(thread, real_time > 0 ? SCHED_FIFO : SCHED_OTHER, &parameters) == 0;
 }
 
-void scheduleAll(bool real_time) {
-    std::error_code error;
-    for (const auto& thread : std::filesystem::directory_iterator("/proc/self/task", error))
-        schedule(std::stoi(thread.path().filename()), real_time);  // one that has ended meanwhile: nothing
-}
+/// All threads of this process. Opened once: a flood of connections may leave no descriptor.
+class Threads {
+  public:
+    void schedule(pid_t but, int real_time) const {
+        if (directory_ == nullptr) return;
+        ::rewinddir(directory_.get());
+        while (const auto* entry = ::readdir(directory_.get())) {
+            const auto thread = static_cast<pid_t>(std::atoi(entry->d_name));
+            if (thread > 0 && thread != but) router_guard::schedule(thread, real_time);  // it may have ended
+        }
+    }
+
+  private:
+    struct Close {
+        void operator()(DIR* directory) const { ::closedir(directory); }
+    };
+    const std::unique_ptr<DIR, Close> directory_{::opendir("/proc/self/task")};
+};
 
 CpuBudget::Duration processorTime() {
     timespec time{};
@@ -65,7 +80,7 @@ bool CpuBudget::allows(Duration used, Duration passed) {
 
 void Priority::begin() {
     goBeforeOrdinaryPrograms();
-    if (schedule(0, true)) {
+    if (schedule(0, kRealTime)) {
         watch_ = std::jthread([this](const std::stop_token& ended) { watch(ended); });
         return;
     }
@@ -94,6 +109,9 @@ void Priority::goBeforeOrdinaryPrograms() {
 }
 
 void Priority::watch(const std::stop_token& ended) {
+    const auto self = ::gettid();
+    schedule(self, kRealTime + 1);  // a flood at the priority of this thread would keep it from looking
+    const Threads threads;
     CpuBudget budget;
     bool real_time = true;
     auto used = processorTime();
@@ -105,7 +123,8 @@ void Priority::watch(const std::stop_token& ended) {
         const bool allowed = budget.allows(used_now - used, now - at);
         used = used_now;
         at = now;
-        if (allowed != real_time) scheduleAll(allowed);
+        // Also those that have begun meanwhile, by one that still had real time.
+        if (!allowed || !real_time) threads.schedule(self, allowed ? kRealTime : 0);
         real_time = allowed;
     }
 }

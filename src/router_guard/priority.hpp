@@ -32,7 +32,8 @@ class CpuBudget {
 /// The priority of a router, whose threads pass stops on between threads with real-time priority (ADR 0018):
 /// real time while CpuBudget allows it, and nice -10, which goes before ordinary programs, otherwise and
 /// where real time is not permitted. Holds for all threads of the process. What is not permitted is told
-/// once. Threads: begin() and end() one; a thread of its own looks a hundred times a second.
+/// once. Threads: begin() and end() one; a thread of its own, with a higher priority, looks a hundred times a
+/// second.
 class Priority {
   public:
     /// `tell`: a sentence for the log, from begin().

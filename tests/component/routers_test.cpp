@@ -199,16 +199,23 @@ TEST_F(BehindARouter, NobodyMayCallAnythingButHisOwnSession) {
     EXPECT_THROW(call(Ice::stringToIdentity("SessionManager")), Ice::ObjectNotExistException);
 }
 
-TEST_F(BehindARouter, AClientThatDoesNotReadCostsTheRouterLittleMemoryAndIsServedAgainWhenItDoes) {
+/// In KiB of each message, and how many of them: 125 MiB of those that are answered each, and 31 MiB of those
+/// of which one in some is.
+class BehindARouterWithData : public BehindARouter,
+                              public testing::WithParamInterface<std::pair<int, int>> {};
+INSTANTIATE_TEST_SUITE_P(Data, BehindARouterWithData,
+                         testing::Values(std::pair{64, 2000}, std::pair{4, 8000}));
+
+TEST_P(BehindARouterWithData, AClientThatDoesNotReadCostsTheRouterLittleMemoryAndIsServedAgainWhenItDoes) {
+    const int kib = GetParam().first, chunks = GetParam().second;
     RawClient slow(both());
     RawClient good(both());
     auto head = robot.headTo(slow.facts.me.id);
-    const std::string chunk(64 * 1024, 'x');
+    const std::string chunk(static_cast<std::size_t>(kib) * 1024, 'x');
     const auto before = router.residentKib();
     ASSERT_GT(before, 0);
     slow.stalled = true;
-    constexpr int kChunks = 2000;  // 125 MiB
-    for (int i = 1; i <= kChunks; ++i) {
+    for (int i = 1; i <= chunks; ++i) {
         head.sequence = i;
         robot.data()->sendToClientDataSeq(transport::toIce(head), toRange(chunk));
     }
@@ -218,7 +225,7 @@ TEST_F(BehindARouter, AClientThatDoesNotReadCostsTheRouterLittleMemoryAndIsServe
     EXPECT_TRUE(waitUntil([&] { return good.log.has("data msg"); })) << "others do not wait";
     slow.stalled = false;
     slow.stalled.notify_all();
-    EXPECT_TRUE(waitUntil([&] { return slow.log.has("data " + std::to_string(kChunks)); }))
+    EXPECT_TRUE(waitUntil([&] { return slow.log.has("data " + std::to_string(chunks)); }))
         << "the newest has come";
     RecordProperty("grown_kib", static_cast<int>(grown));
 }

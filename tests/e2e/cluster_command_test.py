@@ -49,6 +49,9 @@ class ClusterCommandTest(unittest.TestCase):
                 autogroup = pathlib.Path(f"/proc/{before[name]['pid']}/autogroup")
                 if autogroup.exists():
                     self.assertRegex(autogroup.read_text(), "nice -10$", f"{name}: its session's group, which Linux compares first")
+                if os.geteuid() == 0:
+                    policies = [os.sched_getscheduler(int(thread)) for thread in os.listdir(f"/proc/{before[name]['pid']}/task")]
+                    self.assertIn(os.SCHED_FIFO, policies, f"{name}: at least its guard, whatever it uses at this moment")
             else:
                 self.assertIn("LimitNICE=-10", pathlib.Path(before[name]["log"]).read_text())
 

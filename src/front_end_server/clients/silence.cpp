@@ -31,7 +31,7 @@ std::vector<SilentClient> silentAt(const Clients::ById& clients, TimePoint now) 
     for (const auto& [id, client] : clients) {
         if (!connections.contains(client->connection) || !client->liveness.busy()) continue;
         if (!missesAHeartbeat(*client, now)) {
-            connections.erase(client->connection);  // it works
+            connections.erase(client->connection);  // it works, or so it seems
         } else if (!client->liveness.expired(now)) {
             near.push_back(client);
         }

@@ -33,6 +33,10 @@ Refusal noServerBehind() {
 
 }  // namespace
 
+bool isWithoutServer(const Glacier2::CannotCreateSessionException& cannot) {
+    return cannot.reason == kRouterWithoutServer;
+}
+
 void requestRealTime(int priority) {
     sched_param parameters{};
     parameters.sched_priority = priority;
@@ -125,7 +129,7 @@ Refusal translate(std::exception_ptr error, bool setting_up_tls) {
                                       : denied.reason,
                 {}};
     } catch (const Glacier2::CannotCreateSessionException& cannot) {
-        if (cannot.reason == kRouterWithoutServer) return noServerBehind();
+        if (isWithoutServer(cannot)) return noServerBehind();
         return {RefusalCode::Unavailable, "the router answers, but opens no session: " + cannot.reason, {}};
     } catch (const Glacier2::SessionNotExistException&) {
         return {RefusalCode::NotConnected, "the session has ended; fix: connect again", {}};

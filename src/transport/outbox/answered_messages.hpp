@@ -16,7 +16,10 @@ namespace axon::transport {
 /// `ask_bytes` or 64 messages; so one after another is answered each, and of a burst few are.
 ///
 /// What follows the last one that was to be answered stays unanswered until another message is sent: less
-/// than `ask_bytes`. I/O-free and not thread-safe, as OutboxCore.
+/// than `ask_bytes`. That one of these did not reach its consumer is not told; that a consumer has gone is,
+/// by heartbeats and by the router. Threads that send at the same time may do so in another order than that
+/// of onSend(), so that an answer may come before a message that it holds for: one for each thread. I/O-free
+/// and not thread-safe, as OutboxCore.
 class AnsweredMessages {
   public:
     struct Message {

@@ -8,18 +8,13 @@ namespace axon::transport {
 static_assert(OutboxLimits{}.data_bytes >= kMessageSizeMaxKib * std::size_t{1024},
               "what a peer may send must be able to wait");
 
-void Outbox::onSent(Traffic traffic, std::size_t bytes, SenderKey from) {
+void Outbox::onSent(const AnsweredMessages::Message& message) {
     {
         const std::lock_guard lock(mutex_);
-        core_.sent(traffic, bytes, from);
+        core_.sent(message.traffic, message.bytes, message.from);
         if (!core_.startPump()) return;
     }
     pump();
-}
-
-std::uint64_t Outbox::numberOf(const AnsweredMessages::Message& message) {
-    const std::lock_guard lock(mutex_);
-    return answers_.onSend(message);
 }
 
 void Outbox::onAnswer(std::uint64_t number) {
@@ -44,12 +39,16 @@ void Outbox::sendAll() {
 void Outbox::pump() {
     while (true) {
         std::optional<OutboxCore<Parcel>::Item> item;
+        AnsweredMessages::Message message{};
+        std::uint64_t number = 0;
         {
             const std::lock_guard lock(mutex_);
             item = core_.next();
+            if (!item) return;
+            message = {item->traffic, item->bytes, item->from};
+            number = numberOf(message);
         }
-        if (!item) return;
-        launch(item->traffic, item->bytes, item->from, item->parcel);
+        launch(message, number, item->parcel);
     }
 }
 

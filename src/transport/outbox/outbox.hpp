@@ -58,12 +58,14 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     bool post(Traffic traffic, std::size_t bytes, Send&& send, Own&& own, SenderKey from = kServersOwn) {
         using Verdict = OutboxCore<Parcel>::Verdict;
         Verdict verdict;
+        std::uint64_t number = 0;
         {
             const std::lock_guard lock(mutex_);
             verdict = core_.offer(traffic, bytes, own, from);
+            if (verdict == Verdict::Send) number = numberOf({traffic, bytes, from});
         }
         if (verdict == Verdict::Send) {
-            launch(traffic, bytes, from, send);
+            launch({traffic, bytes, from}, number, send);
         } else if (verdict == Verdict::Overflow) {
             disconnect_(true, traffic == Traffic::Signal ? "it does not take signals"
                                                          : "it does not read its messages");
@@ -75,12 +77,15 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     template <class Send>
     bool postAtOnce(Traffic traffic, std::size_t bytes, Send&& send) {
         using Verdict = OutboxCore<Parcel>::Verdict;
+        const AnsweredMessages::Message message{traffic, bytes, kServersOwn};
+        std::uint64_t number = 0;
         {
             const std::lock_guard lock(mutex_);
             if (!core_.mayPass() || core_.offer(traffic, bytes, [] { return Parcel(); }) != Verdict::Send)
                 return false;
+            number = numberOf(message);
         }
-        launch(traffic, bytes, kServersOwn, send);
+        launch(message, number, send);
         return true;
     }
     /// Gives Ice all that waits, however much that is, and what is posted afterwards: before an orderly end,
@@ -94,18 +99,22 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
   private:
     static constexpr std::size_t kAsksInWindow = 4;
 
+    bool isAnswered(Traffic traffic) const {
+        return until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data);
+    }
+    /// Of what is sent now, under mutex_: 0 if it need not be answered.
+    std::uint64_t numberOf(const AnsweredMessages::Message& message) {
+        return isAnswered(message.traffic) ? answers_.onSend(message) : 0;
+    }
     template <class Send>
-    void launch(Traffic traffic, std::size_t bytes, SenderKey from, Send& send) {
+    void launch(const AnsweredMessages::Message& message, std::uint64_t number, Send& send) {
         SendCallbacks back;
         auto self = shared_from_this();
         back.failed = [self](const std::exception_ptr& error) { self->fail(error); };
-        if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
-            if (const auto number = numberOf({traffic, bytes, from}))
-                back.answered = [self = std::move(self), number] { self->onAnswer(number); };
-        } else {
-            back.sent = [self = std::move(self), traffic, bytes, from](bool) {
-                self->onSent(traffic, bytes, from);
-            };
+        if (number != 0) {
+            back.answered = [self = std::move(self), number] { self->onAnswer(number); };
+        } else if (!isAnswered(message.traffic)) {
+            back.sent = [self = std::move(self), message](bool) { self->onSent(message); };
         }
         try {
             send(std::move(back));
@@ -114,9 +123,7 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
                                              // tells the owner
         }
     }
-    /// 0: it need not be answered.
-    std::uint64_t numberOf(const AnsweredMessages::Message& message);
-    void onSent(Traffic traffic, std::size_t bytes, SenderKey from);
+    void onSent(const AnsweredMessages::Message& message);
     void onAnswer(std::uint64_t number);
     void pump();
     void fail(const std::exception_ptr& error);

@@ -11,7 +11,7 @@
 namespace axon::transport {
 
 /// A proxy of a callback or session and the Outbox in front of it: what callback adapters, and Entity
-/// Managers' sessions, send with. Oneway, but where messages are answered (Until). Threads: any.
+/// Managers' sessions, send with. Oneway, but for messages that are to be answered (Until). Threads: any.
 template <class Prx>
 class ProxySender {
   public:

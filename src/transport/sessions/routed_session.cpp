@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
 #include "transport/sessions/router_servants.hpp"
 
@@ -20,29 +21,30 @@ namespace {
 /// The steps after the session stands, asked for all at once.
 class Opening : public std::enable_shared_from_this<Opening> {
   public:
-    Opening(std::shared_ptr<Glacier2::RouterPrx> router, int timeout_ms,
+    Opening(std::shared_ptr<Glacier2::RouterPrx> router, RoutedLogin login,
             std::function<void(RoutedSession)> opened, std::function<void(std::exception_ptr)> failed)
         : router_(std::move(router)),
-          timeout_ms_(timeout_ms),
+          login_(std::move(login)),
           opened_(std::move(opened)),
           failed_(std::move(failed)) {}
 
-    void begin(const RoutedLogin& login) {
+    void begin() {
         auto context = contractContext();
-        if (!login.display_name.empty()) context[kContextName] = login.display_name;
-        if (!login.token.empty()) context[kContextToken] = login.token;
+        if (!login_.display_name.empty()) context[kContextName] = login_.display_name;
+        if (!login_.token.empty()) context[kContextToken] = login_.token;
         attempt([&] {
             const auto opened =
                 [self = shared_from_this()](const std::shared_ptr<Glacier2::SessionPrx>& session) {
                     self->attempt([&] { self->prepare(session); });
                 };
             const auto failed = [self = shared_from_this()](const std::exception_ptr& error) {
+                if (self->mayAskAgain(error)) return self->begin();
                 self->fail(ofSession(error));
             };
-            if (login.user.empty() && isSecure(*router_)) {
+            if (login_.user.empty() && isSecure(*router_)) {
                 router_->createSessionFromSecureConnectionAsync(opened, failed, nullptr, context);
             } else {
-                router_->createSessionAsync(login.user, login.password, opened, failed, nullptr, context);
+                router_->createSessionAsync(login_.user, login_.password, opened, failed, nullptr, context);
             }
         });
     }
@@ -55,6 +57,17 @@ class Opening : public std::enable_shared_from_this<Opening> {
         return !endpoints.empty() && endpoints.front()->getInfo()->secure();
     }
 
+    /// Once, over the same connection: where one of several servers has just been lost, the router asks
+    /// another one the next time, and a new connection would cost both sides another handshake.
+    bool mayAskAgain(const std::exception_ptr& error) {
+        try {
+            std::rethrow_exception(error);
+        } catch (const Glacier2::CannotCreateSessionException& cannot) {
+            return isWithoutServer(cannot) && !std::exchange(asked_again_, true);
+        } catch (...) {
+            return false;
+        }
+    }
     /// A router closes the connection of who calls something else than a router on it.
     static std::exception_ptr ofSession(const std::exception_ptr& error) {
         try {
@@ -76,8 +89,8 @@ class Opening : public std::enable_shared_from_this<Opening> {
                 "it has no session manager for this: set Glacier2.SessionManager, and for certificates "
                 "Glacier2.SSLSessionManager, in its configuration");
         if (!result_.connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
-        result_.session =
-            result_.connection->createProxy(session->ice_getIdentity())->ice_invocationTimeout(timeout_ms_);
+        result_.session = result_.connection->createProxy(session->ice_getIdentity())
+                              ->ice_invocationTimeout(login_.timeout_ms);
         const auto self = shared_from_this();
         router_->getCategoryForClientAsync(
             [self](std::string category) {
@@ -131,12 +144,13 @@ class Opening : public std::enable_shared_from_this<Opening> {
     }
 
     const std::shared_ptr<Glacier2::RouterPrx> router_;
-    const int timeout_ms_;
+    const RoutedLogin login_;
     const std::function<void(RoutedSession)> opened_;
     const std::function<void(std::exception_ptr)> failed_;
     RoutedSession result_;  // each step writes a member of its own; read when all are done
     std::atomic<int> left_{kSteps};
     std::atomic<bool> over_{false};
+    bool asked_again_ = false;  // of the answer to begin()
 };
 
 }  // namespace
@@ -154,7 +168,7 @@ void openRoutedSession(const std::shared_ptr<Ice::ObjectPrx>& router, const Rout
     // A connection identifier of its own: a router has one session for each connection.
     const auto its = Ice::uncheckedCast<Glacier2::RouterPrx>(
         router->ice_connectionId(Ice::generateUUID())->ice_invocationTimeout(login.timeout_ms));
-    std::make_shared<Opening>(its, login.timeout_ms, std::move(opened), std::move(failed))->begin(login);
+    std::make_shared<Opening>(its, login, std::move(opened), std::move(failed))->begin();
 }
 
 bool isRouter(const std::string& server) {

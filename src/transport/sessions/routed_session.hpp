@@ -31,9 +31,10 @@ struct RoutedLogin {
 };
 
 /// Asks a router for a session of the user. If none is named and the router is reached over TLS, the session
-/// is that of the user whom our certificate names. Exactly one of `opened` and `failed` is called, on a
-/// thread of the communicator's client pool or on the caller's. A connection that was opened before a failure
-/// is closed. translate() turns the exception into a refusal.
+/// is that of the user whom our certificate names. If no server answers the router, it is asked once more
+/// over the same connection, because it may ask another server then. Exactly one of `opened` and `failed` is
+/// called, on a thread of the communicator's client pool or on the caller's. A connection that was opened
+/// before a failure is closed. translate() turns the exception into a refusal.
 ///
 /// Afterwards the connection sends the signs of life that the router wants, without which it ends the
 /// session.

@@ -1,10 +1,90 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/sessions/routed_session.hpp"
 
+#include <Glacier2/Router.h>
 #include <gtest/gtest.h>
+
+#include <future>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "support/loopback.hpp"
+#include "transport/sessions/router_servants.hpp"
 
 namespace axon::transport {
 namespace {
+
+/// A router that opens no session, and says of each request the next of these reasons.
+class UnwillingRouter final : public Glacier2::Router {
+  public:
+    explicit UnwillingRouter(std::vector<std::string> reasons) : reasons_(std::move(reasons)) {}
+    void createSessionAsync(std::string user, std::string password,
+                            std::function<void(const std::shared_ptr<Glacier2::SessionPrx>&)>,
+                            std::function<void(std::exception_ptr)> refuse,
+                            const Ice::Current& current) override {
+        asked.push_back(user + "/" + password + "/" + current.ctx.at(kContextName));
+        connections.insert(current.con);
+        refuse(
+            std::make_exception_ptr(Glacier2::CannotCreateSessionException(reasons_.at(asked.size() - 1))));
+    }
+    void createSessionFromSecureConnectionAsync(
+        std::function<void(const std::shared_ptr<Glacier2::SessionPrx>&)>,
+        std::function<void(std::exception_ptr)>, const Ice::Current&) override {}
+    void refreshSessionAsync(std::function<void()>, std::function<void(std::exception_ptr)>,
+                             const Ice::Current&) override {}
+    void destroySession(const Ice::Current&) override {}
+    std::string getCategoryForClient(const Ice::Current&) const override { return {}; }
+    long long int getSessionTimeout(const Ice::Current&) const override { return 0; }
+    int getACMTimeout(const Ice::Current&) const override { return 0; }
+    std::shared_ptr<Ice::ObjectPrx> getClientProxy(Ice::optional<bool>&, const Ice::Current&) const override {
+        return nullptr;
+    }
+    std::shared_ptr<Ice::ObjectPrx> getServerProxy(const Ice::Current&) const override { return nullptr; }
+    Ice::ObjectProxySeq addProxies(Ice::ObjectProxySeq, const Ice::Current&) override { return {}; }
+
+    std::vector<std::string> asked;
+    std::set<std::shared_ptr<Ice::Connection>> connections;
+
+  private:
+    const std::vector<std::string> reasons_;
+};
+
+/// Why no session was opened through it.
+std::string reasonOf(const std::shared_ptr<UnwillingRouter>& router) {
+    const Ice::CommunicatorHolder ice(Ice::initialize());
+    const auto adapter =
+        ice->createObjectAdapterWithEndpoints("Router", "tcp -h " + axon::test::loopbackAddress() + " -p 0");
+    const auto proxy = adapter->addWithUUID(router);
+    adapter->activate();
+    std::promise<std::string> reason;
+    openRoutedSession(
+        proxy, {"ann", "secret", "ann@lab", {}, 10'000}, [&](const RoutedSession&) { reason.set_value(""); },
+        [&](const std::exception_ptr& error) {
+            try {
+                std::rethrow_exception(error);
+            } catch (const Glacier2::CannotCreateSessionException& cannot) {
+                reason.set_value(cannot.reason);
+            } catch (const std::exception& other) {
+                reason.set_value(other.what());
+            }
+        });
+    return reason.get_future().get();
+}
+
+TEST(ASessionThroughARouter, IsAskedForOnceMoreOverTheSameConnectionIfTheServerDidNotAnswer) {
+    const auto router = std::make_shared<UnwillingRouter>(
+        std::vector<std::string>{"internal server error", "internal server error"});
+    EXPECT_EQ(reasonOf(router), "internal server error");
+    EXPECT_EQ(router->asked, std::vector<std::string>(2, "ann/secret/ann@lab"));
+    EXPECT_EQ(router->connections.size(), 1U);
+}
+
+TEST(ASessionThroughARouter, ThatAServerRefusedIsNotAskedForAgain) {
+    const auto router = std::make_shared<UnwillingRouter>(std::vector<std::string>{"it is full"});
+    EXPECT_EQ(reasonOf(router), "it is full");
+    EXPECT_EQ(router->asked.size(), 1U);
+}
 
 TEST(WayToARouter, IsTlsWithACertificateAndPlainWithoutWhateverTheOrder) {
     const std::string name = "Axon.Clients/router", plain = "tcp -h 127.0.0.1 -p 10414",
