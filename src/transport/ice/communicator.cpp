@@ -33,8 +33,16 @@ Refusal noServerBehind() {
 
 }  // namespace
 
-bool isWithoutServer(const Glacier2::CannotCreateSessionException& cannot) {
-    return cannot.reason == kRouterWithoutServer;
+bool isWithoutServer(const std::exception_ptr& error) {
+    try {
+        std::rethrow_exception(error);
+    } catch (const Glacier2::PermissionDeniedException& denied) {
+        return denied.reason == kRouterWithoutServer;
+    } catch (const Glacier2::CannotCreateSessionException& cannot) {
+        return cannot.reason == kRouterWithoutServer;
+    } catch (...) {
+        return false;
+    }
 }
 
 void requestRealTime(int priority) {
@@ -117,19 +125,17 @@ bool callsBack(const Ice::ObjectPrx& given, const Ice::Current& current) {
 
 Refusal translate(std::exception_ptr error, bool setting_up_tls) {
     if (auto refusal = tlsRefusal(error, setting_up_tls)) return std::move(*refusal);
+    if (isWithoutServer(error)) return noServerBehind();
     try {
         std::rethrow_exception(std::move(error));
     } catch (const Axon::CommUtil::RequestRefused& refused) {
         return {static_cast<RefusalCode>(refused.code), refused.reason, {}};
     } catch (const Glacier2::PermissionDeniedException& denied) {
-        // That of a router whose verifier of passwords does not answer.
-        if (denied.reason == kRouterWithoutServer) return noServerBehind();
         return {RefusalCode::PermissionDenied,
                 denied.reason.empty() ? "the router refuses this user; fix: check user name and password"
                                       : denied.reason,
                 {}};
     } catch (const Glacier2::CannotCreateSessionException& cannot) {
-        if (isWithoutServer(cannot)) return noServerBehind();
         return {RefusalCode::Unavailable, "the router answers, but opens no session: " + cannot.reason, {}};
     } catch (const Glacier2::SessionNotExistException&) {
         return {RefusalCode::NotConnected, "the session has ended; fix: connect again", {}};

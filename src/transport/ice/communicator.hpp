@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <Glacier2/Session.h>
 #include <Ice/Ice.h>
 
 #include <exception>
@@ -50,8 +49,9 @@ struct CommunicatorSettings {
 /// Failure: throws std::runtime_error for properties that Ice does not accept (misconfiguration).
 Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings);
 
-/// Whether a router says by it that the server that it asked for a session did not answer.
-bool isWithoutServer(const Glacier2::CannotCreateSessionException& cannot);
+/// Whether a router says by it that the server that it asked for a session, or to verify a password, did not
+/// answer.
+bool isWithoutServer(const std::exception_ptr& error);
 
 /// The one place where Ice's exceptions become refusals. Also for the contracts' own RequestRefused and for
 /// standard exceptions (INTERNAL). `setting_up_tls`: a connection over TLS was being made.

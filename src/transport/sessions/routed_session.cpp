@@ -60,13 +60,7 @@ class Opening : public std::enable_shared_from_this<Opening> {
     /// Once, over the same connection: where one of several servers has just been lost, the router asks
     /// another one the next time, and a new connection would cost both sides another handshake.
     bool mayAskAgain(const std::exception_ptr& error) {
-        try {
-            std::rethrow_exception(error);
-        } catch (const Glacier2::CannotCreateSessionException& cannot) {
-            return isWithoutServer(cannot) && !std::exchange(asked_again_, true);
-        } catch (...) {
-            return false;
-        }
+        return isWithoutServer(error) && !std::exchange(asked_again_, true);
     }
     /// A router closes the connection of who calls something else than a router on it.
     static std::exception_ptr ofSession(const std::exception_ptr& error) {

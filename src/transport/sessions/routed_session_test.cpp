@@ -43,6 +43,7 @@ class UnwillingRouter final : public Glacier2::Router {
     std::shared_ptr<Ice::ObjectPrx> getServerProxy(const Ice::Current&) const override { return nullptr; }
     Ice::ObjectProxySeq addProxies(Ice::ObjectProxySeq, const Ice::Current&) override { return {}; }
 
+    bool verifies = false;  ///< it was to verify the password
     std::vector<std::string> asked;
     std::set<std::shared_ptr<Ice::Connection>> connections;
 
@@ -65,6 +66,8 @@ std::string reasonOf(const std::shared_ptr<UnwillingRouter>& router) {
                 std::rethrow_exception(error);
             } catch (const Glacier2::CannotCreateSessionException& cannot) {
                 reason.set_value(cannot.reason);
+            } catch (const Glacier2::PermissionDeniedException& denied) {
+                reason.set_value(denied.reason);
             } catch (const std::exception& other) {
                 reason.set_value(other.what());
             }
@@ -73,11 +76,14 @@ std::string reasonOf(const std::shared_ptr<UnwillingRouter>& router) {
 }
 
 TEST(ASessionThroughARouter, IsAskedForOnceMoreOverTheSameConnectionIfTheServerDidNotAnswer) {
-    const auto router = std::make_shared<UnwillingRouter>(
-        std::vector<std::string>{"internal server error", "internal server error"});
-    EXPECT_EQ(reasonOf(router), "internal server error");
-    EXPECT_EQ(router->asked, std::vector<std::string>(2, "ann/secret/ann@lab"));
-    EXPECT_EQ(router->connections.size(), 1U);
+    for (const bool verifies : {false, true}) {
+        const auto router =
+            std::make_shared<UnwillingRouter>(std::vector<std::string>(2, "internal server error"));
+        router->verifies = verifies;
+        EXPECT_EQ(reasonOf(router), "internal server error");
+        EXPECT_EQ(router->asked, std::vector<std::string>(2, "ann/secret/ann@lab"));
+        EXPECT_EQ(router->connections.size(), 1U);
+    }
 }
 
 TEST(ASessionThroughARouter, ThatAServerRefusedIsNotAskedForAgain) {
