@@ -3,7 +3,7 @@
 """One client of cluster_faults.py, in a process of its own. Reads a JSON object from each line, answers each with one:
 
     {"id": 1, "do": "work", "robot": "robot-1"}   holds it and starts a long task; answered when that runs
-    {"id": 2, "do": "use", "robot": "robot-1"}    ends that task, waits until the robot is there, holds it and runs a short one
+    {"id": 2, "do": "use", "robot": "robot-1"}    ends that task, holds it and runs a short one
     {"id": 3, "do": "drill", "robot": "robot-1"}  tests whether its stop would arrive at the application
     {"id": 4, "do": "take", "robot": "robot-1"}   tries to check it out, and gives it back at once
     {"id": 1, "code": "", "refused": ""}          done; or what was refused, and why
@@ -47,7 +47,6 @@ class Holder:
                 task.cancel()
             except axon.Refused:  # then the short one says more
                 self.tasks[name] = task
-        self.lab.wait_for(name, REQUEST_S)  # to ask again and again would take the processors from those who are to recover
         self.hold(name).start("Wait", Seconds=0.01).result(REQUEST_S)
 
     def drill(self, name):
