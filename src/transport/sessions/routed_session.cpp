@@ -60,7 +60,7 @@ class Opening : public std::enable_shared_from_this<Opening> {
     /// Once, over the same connection: where one of several servers has just been lost, the router asks
     /// another one the next time, and a new connection would cost both sides another handshake.
     bool mayAskAgain(const std::exception_ptr& error) {
-        return isWithoutServer(error) && !std::exchange(asked_again_, true);
+        return isWithoutServer(error) && !asked_again_.exchange(true);
     }
     /// A router closes the connection of who calls something else than a router on it.
     static std::exception_ptr ofSession(const std::exception_ptr& error) {
@@ -144,7 +144,7 @@ class Opening : public std::enable_shared_from_this<Opening> {
     RoutedSession result_;  // each step writes a member of its own; read when all are done
     std::atomic<int> left_{kSteps};
     std::atomic<bool> over_{false};
-    bool asked_again_ = false;  // of the answer to begin()
+    std::atomic<bool> asked_again_{false};
 };
 
 }  // namespace
