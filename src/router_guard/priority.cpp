@@ -20,6 +20,7 @@ namespace {
 constexpr int kNice = -10;
 constexpr int kRealTime = 5;  // as Entity Managers and receipts, below all else that passes on a signal
 constexpr auto kLooks = std::chrono::milliseconds{10};
+constexpr auto kAgain = std::chrono::milliseconds{100};
 
 /// With kernel.sched_autogroup_enabled, Linux compares sessions first, and only within one its programs. 0,
 /// or the error; ENOENT where there are no such groups.
@@ -74,7 +75,7 @@ CpuBudget::Duration processorTime() {
 
 bool CpuBudget::allows(Duration used, Duration passed) {
     left_ = std::clamp(left_ + passed / kPart - used, Duration{}, kBurst);
-    real_time_ = left_ > (real_time_ ? Duration{} : kBurst / 2);
+    real_time_ = real_time_ ? left_ > Duration{} : left_ == kBurst;
     return real_time_;
 }
 
@@ -116,6 +117,7 @@ void Priority::watch(const std::stop_token& ended) {
     bool real_time = true;
     auto used = processorTime();
     auto at = std::chrono::steady_clock::now();
+    auto again = at;
     std::unique_lock lock(mutex_);
     while (!end_.wait_for(lock, ended, kLooks, [&] { return ended.stop_requested(); })) {
         const auto used_now = processorTime();
@@ -123,8 +125,11 @@ void Priority::watch(const std::stop_token& ended) {
         const bool allowed = budget.allows(used_now - used, now - at);
         used = used_now;
         at = now;
-        // Also those that have begun meanwhile, by one that still had real time.
-        if (!allowed || !real_time) threads.schedule(self, allowed ? kRealTime : 0);
+        // Now and then again: some may have begun meanwhile, by one that still had real time.
+        if (allowed != real_time || (!allowed && now >= again)) {
+            threads.schedule(self, allowed ? kRealTime : 0);
+            again = now + kAgain;
+        }
         real_time = allowed;
     }
 }

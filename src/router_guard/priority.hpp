@@ -10,14 +10,14 @@
 
 namespace axon::router_guard {
 
-/// How much of the processor a router may use with real-time priority: a store of 100 ms that fills with an
-/// eighth of the time that passes. When it is empty there is no real time until half of it is full again.
-/// That is enough for heartbeats of 64 robots and their stops at once; a flood, or many who log in at the
-/// same time after a loss, does not get it for long. Threads: one. Failure: none.
+/// How much of the processor a router may use with real-time priority: a store of 50 ms that fills with an
+/// eighth of the time that passes. When it is empty there is no real time until it is full again. That is for
+/// heartbeats and stops; a flood, or many who log in at the same time after a loss, does not get it for long.
+/// Threads: one. Failure: none.
 class CpuBudget {
   public:
     using Duration = std::chrono::nanoseconds;
-    static constexpr Duration kBurst = std::chrono::milliseconds{100};
+    static constexpr Duration kBurst = std::chrono::milliseconds{50};
     static constexpr int kPart = 8;  // of the time that passes
 
     /// Whether it may have real-time priority from now on; since the last call `passed`, and the process used
