@@ -25,8 +25,9 @@ class UnwillingRouter final : public Glacier2::Router {
                             const Ice::Current& current) override {
         asked.push_back(user + "/" + password + "/" + current.ctx.at(kContextName));
         connections.insert(current.con);
-        refuse(
-            std::make_exception_ptr(Glacier2::CannotCreateSessionException(reasons_.at(asked.size() - 1))));
+        const auto& reason = reasons_.at(asked.size() - 1);
+        refuse(verifies ? std::make_exception_ptr(Glacier2::PermissionDeniedException(reason))
+                        : std::make_exception_ptr(Glacier2::CannotCreateSessionException(reason)));
     }
     void createSessionFromSecureConnectionAsync(
         std::function<void(const std::shared_ptr<Glacier2::SessionPrx>&)>,
@@ -43,7 +44,7 @@ class UnwillingRouter final : public Glacier2::Router {
     std::shared_ptr<Ice::ObjectPrx> getServerProxy(const Ice::Current&) const override { return nullptr; }
     Ice::ObjectProxySeq addProxies(Ice::ObjectProxySeq, const Ice::Current&) override { return {}; }
 
-    bool verifies = false;  ///< it was to verify the password
+    bool verifies = false;  ///< it fails at the password, before it asks for a session
     std::vector<std::string> asked;
     std::set<std::shared_ptr<Ice::Connection>> connections;
 
