@@ -82,7 +82,7 @@ bool CpuBudget::allows(Duration used, Duration passed) {
 void Priority::begin() {
     goBeforeOrdinaryPrograms();
     if (schedule(0, kRealTime)) {
-        watch_ = std::jthread([this](const std::stop_token& ended) { watch(ended); });
+        watch_ = std::jthread(watch);
         return;
     }
     tell_(
@@ -118,8 +118,7 @@ void Priority::watch(const std::stop_token& ended) {
     auto used = processorTime();
     auto at = std::chrono::steady_clock::now();
     auto again = at;
-    std::unique_lock lock(mutex_);
-    while (!end_.wait_for(lock, ended, kLooks, [&] { return ended.stop_requested(); })) {
+    for (; !ended.stop_requested(); std::this_thread::sleep_for(kLooks)) {
         const auto used_now = processorTime();
         const auto now = std::chrono::steady_clock::now();
         const bool allowed = budget.allows(used_now - used, now - at);

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <chrono>
-#include <condition_variable>
 #include <functional>
-#include <mutex>
 #include <stop_token>
 #include <string>
 #include <thread>
@@ -47,11 +45,9 @@ class Priority {
 
   private:
     void goBeforeOrdinaryPrograms();
-    void watch(const std::stop_token& ended);
+    static void watch(const std::stop_token& ended);
 
     const std::function<void(const std::string&)> tell_;
-    std::mutex mutex_;
-    std::condition_variable_any end_;
     std::jthread watch_;
 };
 
