@@ -6,8 +6,6 @@
 #include <cstdlib>
 #include <new>
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-
 namespace {
 
 constexpr std::size_t kGrain = 16;
@@ -77,5 +75,3 @@ void operator delete(void* block) noexcept {
 void operator delete(void* block, std::size_t) noexcept {
     give(block);
 }
-
-#endif

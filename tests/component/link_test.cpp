@@ -47,7 +47,7 @@ using Clock = std::chrono::steady_clock;
 using Cause = StopSignal::Cause;
 
 // Sanitizers slow everything; bounds that a person reads as a promise stay those of the plain build.
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#ifdef AXON_SANITIZED
 constexpr int kSlow = 5;
 #else
 constexpr int kSlow = 1;
@@ -1293,11 +1293,11 @@ TEST(Link, ASlowStopCallbackIsNoSilenceOfTheManager) {
     const auto future = never.get_future().share();
     EntityInterfacer interfacer(options("SlowStop"));
     interfacer.onStop([&, future](const StopSignal& stop) {
-        if (stop.cause == Cause::Requested) future.wait_for(400ms * kSlow);
+        if (stop.cause == Cause::Requested) future.wait_for(1s * kSlow);  // three of the watchdogs below
         if (stop.cause == Cause::LinkLost) lost++;
     });
     interfacer.start();
-    Manager manager("SlowStop", {5500, 5600}, {}, 100ms * kSlow, 500ms * kSlow);
+    Manager manager("SlowStop", {5500, 5600}, {}, 300ms, 500ms);
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
     manager.setBusy(true);
     const auto generation = manager.stop();
@@ -1326,10 +1326,10 @@ TEST(Link, AStopCallbackMayWaitForALockThatTheTaskHolds) {
         const std::lock_guard held(robot);
         task.waitFor(30s);
         task_saw_it = task.stopRequested();
-        released.wait_for(400ms * kSlow);  // four of the watchdogs below
+        released.wait_for(1s * kSlow);  // three of the watchdogs below
     });
     interfacer.start();
-    Manager manager("Lock", {5500, 5600}, {}, 100ms, 500ms);
+    Manager manager("Lock", {5500, 5600}, {}, 300ms, 500ms);
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
     manager.setBusy(true);
     const auto id = manager.dispatch("Grip", 0);
