@@ -464,6 +464,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     /// router forgets what it has not passed on when the connection closes, so there its answer does.
     void leave() {
         data_outbox_->sendAll();
+        noteRouter();
         // The end of either connection is the end of the session.
         const auto close = [data = std::exchange(data_connection_, nullptr),
                             signal = std::exchange(signal_connection_, nullptr)] {
@@ -531,7 +532,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         }
         retry_.cancel();
         beat_.cancel();
-        if (data_connection_ && !address_.router.empty()) lost_router_ = data_connection_->getEndpoint();
+        noteRouter();
         forget(data_callback_, ice_->dataAdapter());
         forget(signal_callback_, ice_->signalAdapter());
         for (auto* connection : {&data_connection_, &signal_connection_}) {
@@ -539,6 +540,11 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             connection->reset();
         }
         session_ = signal_session_ = nullptr;
+    }
+
+    /// Whoever ends a session may do so because it was silent, and its router the reason.
+    void noteRouter() {
+        if (data_connection_ && !address_.router.empty()) lost_router_ = data_connection_->getEndpoint();
     }
 
     void forget(std::shared_ptr<EntityCallbackPrx>& callback,
@@ -565,7 +571,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_;
     std::shared_ptr<transport::AnsweredBeats> answered_;  // of the attempt, and so of its session
-    std::shared_ptr<Ice::Endpoint> lost_router_;  // where the last data lane led; of the next attempt only
+    std::shared_ptr<Ice::Endpoint> lost_router_;  // where the last data lane led; for the next attempt only
     std::unique_ptr<const LaneOutbox> data_outbox_, signal_outbox_;  // while it is up
     Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;

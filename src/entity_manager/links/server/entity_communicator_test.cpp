@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
 
+#include <Glacier2/Router.h>
 #include <axon/entitycomm.h>
 #include <axon/messages.pb.h>
 #include <axon/profile.pb.h>
@@ -143,6 +144,42 @@ class Gate final : public slice::EntityGate {
     ServerLog& log_;
 };
 
+/// A router with the server's servants in it: whoever logs in has a session at once.
+class Router final : public Glacier2::Router {
+  public:
+    Router(std::shared_ptr<Ice::ObjectAdapter> adapter, ServerLog& log)
+        : adapter_(std::move(adapter)), log_(log) {}
+    void createSessionAsync(std::string, std::string,
+                            std::function<void(const std::shared_ptr<Glacier2::SessionPrx>&)> opened,
+                            std::function<void(std::exception_ptr)>, const Ice::Current&) override {
+        ++sessions;
+        opened(Ice::uncheckedCast<Glacier2::SessionPrx>(
+            adapter_->addWithUUID(std::make_shared<Session>(Lane::Data, "", log_))));
+    }
+    void createSessionFromSecureConnectionAsync(
+        std::function<void(const std::shared_ptr<Glacier2::SessionPrx>&)>,
+        std::function<void(std::exception_ptr)>, const Ice::Current&) override {}
+    void refreshSessionAsync(std::function<void()>, std::function<void(std::exception_ptr)>,
+                             const Ice::Current&) override {}
+    void destroySession(const Ice::Current&) override {}
+    std::string getCategoryForClient(const Ice::Current&) const override { return "its"; }
+    long long int getSessionTimeout(const Ice::Current&) const override { return 0; }
+    int getACMTimeout(const Ice::Current&) const override { return 0; }
+    std::shared_ptr<Ice::ObjectPrx> getClientProxy(Ice::optional<bool>&, const Ice::Current&) const override {
+        return nullptr;
+    }
+    std::shared_ptr<Ice::ObjectPrx> getServerProxy(const Ice::Current&) const override {
+        return adapter_->createProxy(Ice::stringToIdentity("back"));
+    }
+    Ice::ObjectProxySeq addProxies(Ice::ObjectProxySeq, const Ice::Current&) override { return {}; }
+
+    std::atomic<int> sessions{0};
+
+  private:
+    const std::shared_ptr<Ice::ObjectAdapter> adapter_;
+    ServerLog& log_;
+};
+
 /// An Entity Manager's way to a server whose data lane can be held up: a thread for each lane, so that a lane
 /// whose call waits reads nothing.
 class EntityCommunicatorTest : public testing::Test {
@@ -212,6 +249,26 @@ class EntityCommunicatorTest : public testing::Test {
             way_ = std::make_unique<EntityCommunicator>(strand_, ice_, address, clock_, events);
             way_->wantConnection(true);
         });
+    }
+
+    /// Another way, through any of these routers.
+    std::vector<std::shared_ptr<Router>> seekThroughRouters(int number) {
+        ServerAddress address;
+        address.router = "Axon.Entities/router";
+        std::vector<std::shared_ptr<Router>> routers;
+        for (int i = 0; i < number; ++i) {
+            const auto adapter = transport::listen(*server_.communicator(), "Router" + std::to_string(i),
+                                                   transport::tcpEndpoint(test::loopbackAddress() + ":0"));
+            routers.push_back(std::make_shared<Router>(adapter, log));
+            adapter->add(routers.back(), Ice::stringToIdentity("Axon.Entities/router"));
+            adapter->activate();
+            address.router += ":" + transport::publishedEndpoints(*adapter).front().text();
+        }
+        onStrand([&] {
+            way_ = std::make_unique<EntityCommunicator>(strand_, ice_, address, clock_, events);
+            way_->wantConnection(true);
+        });
+        return routers;
     }
 
     /// Returns when it has been done.
@@ -359,6 +416,23 @@ TEST_F(EntityCommunicatorTest, AServerOfAnotherReleaseIsLoggedOnce) {
                       "; they work together, because both have " + transport::ourContract() + "\n";
     EXPECT_EQ(lines->all(), "connected with an entity server of release 7.1" + rest +
                                 "connected with an entity server of an unknown release ('7\\x0a1')" + rest);
+}
+
+TEST_F(EntityCommunicatorTest, ASilentRouterIsLeftForAnotherOne) {
+    const auto routers = seekThroughRouters(2);
+    const auto sessions = [&](std::size_t router) { return routers[router]->sessions.load(); };
+    ASSERT_TRUE(waitUntil([this] { return events->up == 2; }));
+    std::size_t its = sessions(0) > 0 ? 0 : 1;
+    for (int times = 1; times <= 8;
+         ++times, its = 1 - its) {  // by chance it would be the other one half the time
+        const auto before = sessions(its);
+        onStrand([this] {  // as Presence does it
+            way_->wantConnection(false);
+            way_->wantConnection(true);
+        });
+        ASSERT_TRUE(waitUntil([&] { return events->up == times + 2; }));
+        ASSERT_EQ(sessions(its), before);
+    }
 }
 
 TEST_F(EntityCommunicatorTest, WhereNoEntityManagerLogsInTheLogNamesTheRightPort) {
