@@ -80,6 +80,11 @@ class Configuration(unittest.TestCase):
         with self.assertRaisesRegex(Misconfigured, "--routers 3: expected 1 to 2"):
             dataclasses.replace(plan, routers=3).check()
 
+    def test_in_a_router_what_servers_send_has_a_thread_of_its_own_beside_that_of_handshakes(self):
+        for file in ("glacier2clients.cfg", "glacier2entities.cfg"):
+            for pool in ("Ice.ThreadPool.Server", "Glacier2.Server.ThreadPool"):
+                self.assertEqual([self.value(file, f"{pool}.{size}") for size in ("Size", "SizeMax")], ["1", "1"])
+
     def test_each_router_knows_all_servers_of_its_kind_and_nothing_else_behind_it(self):
         for file, servers in (("glacier2clients.cfg", ("fe1", "fe2")), ("glacier2entities.cfg", ("es1", "es2", "es3"))):
             for key in ("Glacier2.SessionManager", "Glacier2.PermissionsVerifier"):

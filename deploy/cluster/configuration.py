@@ -354,6 +354,10 @@ Glacier2.Trace.Session=1
 # core not do for a router, give it more, with Serialize=1, without which messages overtake each other:
 Ice.ThreadPool.Server.Size=1
 Ice.ThreadPool.Server.SizeMax=1
+# Another one for what the servers send, so that their heartbeats and stops do not wait for the handshakes of those who
+# log in:
+Glacier2.Server.ThreadPool.Size=1
+Glacier2.Server.ThreadPool.SizeMax=1
 # Several for answers: with one, log-ins once got none for four seconds:
 Ice.ThreadPool.Client.Size=4
 Ice.ThreadPool.Client.SizeMax=16
