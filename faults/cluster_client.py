@@ -6,6 +6,7 @@
     {"id": 2, "do": "use", "robot": "robot-1"}    ends that task, holds it and runs a short one
     {"id": 3, "do": "drill", "robot": "robot-1"}  tests whether its stop would arrive at the application
     {"id": 4, "do": "take", "robot": "robot-1"}   tries to check it out, and gives it back at once
+    {"id": 5, "do": "list", "robot": ""}          says what it has been told of all robots
     {"id": 1, "code": "", "refused": ""}          done; or what was refused, and why
 
 Ends with its input. The first argument is its name, the second one a configuration file.
@@ -56,6 +57,9 @@ class Holder:
     def take(self, name):
         self.lab.checkout(name).release()
 
+    def list(self, _):
+        return {entity.id: [entity.name, entity.holder.id] for entity in self.lab.entities(all=True)}
+
 
 def main():
     name, config = sys.argv[1:]
@@ -68,8 +72,7 @@ def main():
 
     def carry_out(request):
         try:
-            getattr(holder, request["do"])(request["robot"])
-            answer(id=request["id"], code="", refused="")
+            answer(id=request["id"], code="", refused="", said=getattr(holder, request["do"])(request["robot"]))
         except axon.Refused as error:
             answer(id=request["id"], code=error.code.name, refused=f"{request['do']}: {error}")
         except Exception as error:  # pylint: disable=broad-except

@@ -15,8 +15,9 @@ not stop at all. What happens then depends on the kind:
     freeze-…     as lose-…, or, where nothing can be used without it and it has no replacement, it goes on after 6 s
     partition-…  as lose-…: the program has a machine of its own, whose cable is pulled
 
-Within 5 s the same clients must hold and use every robot, the lists of all front-end servers that run must agree, and no
-other client may be able to check out what they hold. At last a program that was away comes back, and the lists of all
+Within 5 s the same clients must hold and use every robot (each asks four times a second for those that it does not have yet),
+the lists of all front-end servers that run must agree, all clients must have been told of what is in these lists, and no other
+client may be able to check out what they hold. At last a program that was away comes back, and the lists of all
 must agree again.
 The kinds of IceGrid's registries, of replicas of IceStorm and of partitions run on machines that are network namespaces,
 which need root; the others on one cluster without TLS. Each client is a process with the Python package of the build.
@@ -181,7 +182,7 @@ class Client:
             said = json.loads(line)
             with self.lock:
                 place = self.waiting.pop(said["id"])
-            place.put((said["code"], said["refused"]))
+            place.put((said["code"], said["refused"], said.get("said")))
 
     def wait_until_ready(self):
         try:
@@ -189,8 +190,9 @@ class Client:
         except queue.Empty:
             raise Failed(f"{self.name} got no session within {ANSWER_S} s; see its log") from None
 
-    def tries(self, what, robot):
-        """(name of the refusal's code, what was refused and why); two empty texts if it was done. Raises Failed if it has ended."""
+    def asks(self, what, robot=""):
+        """(name of the refusal's code, what was refused and why, what it said); two empty texts if it was done. Raises Failed if it
+        has ended."""
         place = queue.Queue()
         with self.lock:
             self.asked += 1
@@ -203,11 +205,11 @@ class Client:
         try:
             return place.get(timeout=ANSWER_S)
         except queue.Empty:
-            return "TIMED_OUT", f"{what}: no answer within {ANSWER_S} s"
+            return "TIMED_OUT", f"{what}: no answer within {ANSWER_S} s", None
 
     def does(self, what, robot):
         """What was refused, or an empty text."""
-        return self.tries(what, robot)[1]
+        return self.asks(what, robot)[1]
 
     def end(self):
         self.child.kill()
@@ -482,7 +484,7 @@ class Run:
                 if not refused:
                     return time.monotonic()
                 said[robot.name] = refused
-                time.sleep(0.05)
+                time.sleep(0.25)
             return None
 
         ends = self.for_each(self.robots, usable)
@@ -502,7 +504,7 @@ class Run:
 
         def take(robot):
             while True:
-                code, refused = self.other.tries("take", robot.name)
+                code, refused, _ = self.other.asks("take", robot.name)
                 if code in ("", "ALREADY_HELD") or time.monotonic() > limit:
                     return code, refused
                 time.sleep(0.05)
@@ -525,11 +527,29 @@ class Run:
             lists = {front_end["name"]: listed(front_end) for front_end in front_ends}
             if all(told == next(iter(lists.values())) and len(told) == len(self.robots) for told in lists.values()):
                 report.agree_s.append(time.monotonic() - since)
-                return
+                return self.judge_news(victim, how, next(iter(lists.values())), report)
             if time.monotonic() > since + USABLE_S + PATIENCE_S:
                 report.violation(f"the front-end servers do not agree after {victim} {how}: {lists}")
                 return
             time.sleep(0.05)
+
+
+    def judge_news(self, victim, how, listed, report):
+        """Every client has been told of what the servers list: of no robot was the last news lost on its way."""
+        limit = time.monotonic() + PATIENCE_S
+
+        def told(client):
+            while True:
+                _, refused, said = client.asks("list")
+                said = {entity: tuple(its) for entity, its in (said or {}).items()}
+                if said == listed or time.monotonic() > limit:
+                    return refused, said
+                time.sleep(0.25)
+
+        for client, (refused, said) in zip(self.clients, self.for_each(self.clients, told)):
+            if said != listed:
+                wrong = {entity: (said.get(entity), listed.get(entity)) for entity in said.keys() | listed.keys() if said.get(entity) != listed.get(entity)}
+                report.violation(f"{client.name} was told otherwise than the servers list after {victim} {how}: {refused or wrong}")
 
 
 def run_kinds(options, environment, kinds, reports):
