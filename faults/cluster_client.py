@@ -7,7 +7,7 @@
     {"id": 3, "do": "drill", "robot": "robot-1"}  tests whether its stop would arrive at the application
     {"id": 4, "do": "take", "robot": "robot-1"}   tries to check it out, and gives it back at once
     {"id": 5, "do": "list", "robot": ""}          says what it has been told of all robots
-    {"id": 1, "code": "", "refused": ""}          done; or what was refused, and why
+    {"id": 1, "code": "", "refused": "", "said": null}  done; or what was refused, and why
 
 Ends with its input. The first argument is its name, the second one a configuration file.
 """
@@ -58,7 +58,7 @@ class Holder:
         self.lab.checkout(name).release()
 
     def list(self, _):
-        return {entity.id: [entity.name, entity.holder.id] for entity in self.lab.entities(all=True)}
+        return {entity.id: [entity.name, entity.holder.id, entity.state.name] for entity in self.lab.entities(all=True)}
 
 
 def main():

@@ -171,7 +171,7 @@ Result<void> Client::Session::establish() {
     login.password = options_.password;
     login.display_name = options_.display_name.empty() ? userAtHost() : options_.display_name;
     login.timeout = timeoutOf(options_);
-    login.lost_router = std::exchange(last_router_, nullptr);
+    login.lost_router = last_router_;
     {
         const std::lock_guard lock(core_mutex_);
         login.attempt = ++attempt_;

@@ -205,7 +205,7 @@ std::string wayToRouter(const std::string& router, bool has_certificate) {
 
 std::optional<int> routerTriedFor(const std::string& router) {
     constexpr int kOneOfSeveralMs = 300;
-    constexpr int kWithHandshakeMs = 2000;
+    constexpr int kWithHandshakeMs = 1500;
     if (!isRouter(router) || partsOf(router).size() <= 2) return std::nullopt;
     return isTlsRouter(router) ? kWithHandshakeMs : kOneOfSeveralMs;
 }

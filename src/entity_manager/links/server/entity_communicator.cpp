@@ -346,7 +346,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void openThroughRouter(std::uint64_t attempt, Lane lane, const std::string& token, Then then) {
         auto router = transport::routerProxy(*communicator(lane), address_.router);
         router = lane == Lane::Signal ? transport::sameRouter(router, *data_connection_)
-                                      : transport::lostLast(router, std::exchange(lost_router_, nullptr));
+                                      : transport::lostLast(router, lost_router_);
         transport::openRoutedSession(
             router, {address_.user, address_.password, {}, token, kLoginTimeoutMs},
             [weak = weak_from_this(), attempt, lane, then](const transport::RoutedSession& routed) {
@@ -571,7 +571,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_;
     std::shared_ptr<transport::AnsweredBeats> answered_;  // of the attempt, and so of its session
-    std::shared_ptr<Ice::Endpoint> lost_router_;  // where the last data lane led; for the next attempt only
+    std::shared_ptr<Ice::Endpoint> lost_router_;  // where the last data lane led
     std::unique_ptr<const LaneOutbox> data_outbox_, signal_outbox_;  // while it is up
     Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;

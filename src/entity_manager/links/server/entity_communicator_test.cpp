@@ -418,7 +418,7 @@ TEST_F(EntityCommunicatorTest, AServerOfAnotherReleaseIsLoggedOnce) {
                                 "connected with an entity server of an unknown release ('7\\x0a1')" + rest);
 }
 
-TEST_F(EntityCommunicatorTest, ASilentRouterIsLeftForAnotherOne) {
+TEST_F(EntityCommunicatorTest, AfterASessionAnotherRouterIsTriedFirst) {
     const auto routers = seekThroughRouters(2);
     const auto sessions = [&](std::size_t router) { return routers[router]->sessions.load(); };
     ASSERT_TRUE(waitUntil([this] { return events->up == 2; }));
