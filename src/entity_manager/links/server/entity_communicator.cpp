@@ -570,8 +570,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_;
-    std::shared_ptr<transport::AnsweredBeats> answered_;  // of the attempt, and so of its session
-    std::shared_ptr<Ice::Endpoint> lost_router_;  // where the last data lane led
+    std::shared_ptr<transport::AnsweredBeats> answered_;             // of the attempt, and so of its session
+    std::shared_ptr<Ice::Endpoint> lost_router_;                     // where the last data lane led
     std::unique_ptr<const LaneOutbox> data_outbox_, signal_outbox_;  // while it is up
     Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;
