@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/sessions/routed_session.hpp"
 
-#include <Glacier2/Router.h>
 #include <gtest/gtest.h>
 
 #include <future>
@@ -10,13 +9,14 @@
 #include <vector>
 
 #include "support/loopback.hpp"
+#include "transport/sessions/fake_router.hpp"
 #include "transport/sessions/router_servants.hpp"
 
 namespace axon::transport {
 namespace {
 
 /// A router that opens no session, and says of each request the next of these reasons.
-class UnwillingRouter final : public Glacier2::Router {
+class UnwillingRouter final : public FakeRouter {
   public:
     explicit UnwillingRouter(std::vector<std::string> reasons) : reasons_(std::move(reasons)) {}
     void createSessionAsync(std::string user, std::string password,
@@ -29,20 +29,6 @@ class UnwillingRouter final : public Glacier2::Router {
         refuse(verifies ? std::make_exception_ptr(Glacier2::PermissionDeniedException(reason))
                         : std::make_exception_ptr(Glacier2::CannotCreateSessionException(reason)));
     }
-    void createSessionFromSecureConnectionAsync(
-        std::function<void(const std::shared_ptr<Glacier2::SessionPrx>&)>,
-        std::function<void(std::exception_ptr)>, const Ice::Current&) override {}
-    void refreshSessionAsync(std::function<void()>, std::function<void(std::exception_ptr)>,
-                             const Ice::Current&) override {}
-    void destroySession(const Ice::Current&) override {}
-    std::string getCategoryForClient(const Ice::Current&) const override { return {}; }
-    long long int getSessionTimeout(const Ice::Current&) const override { return 0; }
-    int getACMTimeout(const Ice::Current&) const override { return 0; }
-    std::shared_ptr<Ice::ObjectPrx> getClientProxy(Ice::optional<bool>&, const Ice::Current&) const override {
-        return nullptr;
-    }
-    std::shared_ptr<Ice::ObjectPrx> getServerProxy(const Ice::Current&) const override { return nullptr; }
-    Ice::ObjectProxySeq addProxies(Ice::ObjectProxySeq, const Ice::Current&) override { return {}; }
 
     bool verifies = false;  ///< it fails at the password, before it asks for a session
     std::vector<std::string> asked;

@@ -267,6 +267,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         answered_ = std::make_shared<transport::AnsweredBeats>(clock_);
         open(attempt, Lane::Data, called().text(), {}, [attempt](Connection& self, const Opened& opened) {
             self.data_connection_ = opened.connection;
+            self.last_router_ = opened.connection->getEndpoint();
             self.session_ = opened.session;
             self.data_callback_ = opened.callback;
             self.nameOurselves(attempt);
@@ -346,7 +347,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void openThroughRouter(std::uint64_t attempt, Lane lane, const std::string& token, Then then) {
         auto router = transport::routerProxy(*communicator(lane), address_.router);
         router = lane == Lane::Signal ? transport::sameRouter(router, *data_connection_)
-                                      : transport::lostLast(router, lost_router_);
+                                      : transport::lostLast(router, last_router_);
         transport::openRoutedSession(
             router, {address_.user, address_.password, {}, token, kLoginTimeoutMs},
             [weak = weak_from_this(), attempt, lane, then](const transport::RoutedSession& routed) {
@@ -464,7 +465,6 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     /// router forgets what it has not passed on when the connection closes, so there its answer does.
     void leave() {
         data_outbox_->sendAll();
-        noteRouter();
         // The end of either connection is the end of the session.
         const auto close = [data = std::exchange(data_connection_, nullptr),
                             signal = std::exchange(signal_connection_, nullptr)] {
@@ -532,7 +532,6 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         }
         retry_.cancel();
         beat_.cancel();
-        noteRouter();
         forget(data_callback_, ice_->dataAdapter());
         forget(signal_callback_, ice_->signalAdapter());
         for (auto* connection : {&data_connection_, &signal_connection_}) {
@@ -540,11 +539,6 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             connection->reset();
         }
         session_ = signal_session_ = nullptr;
-    }
-
-    /// Whoever ends a session may do so because it was silent, and its router the reason.
-    void noteRouter() {
-        if (data_connection_ && !address_.router.empty()) lost_router_ = data_connection_->getEndpoint();
     }
 
     void forget(std::shared_ptr<EntityCallbackPrx>& callback,
@@ -571,7 +565,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_;
     std::shared_ptr<transport::AnsweredBeats> answered_;             // of the attempt, and so of its session
-    std::shared_ptr<Ice::Endpoint> lost_router_;                     // where the last data lane led
+    std::shared_ptr<Ice::Endpoint> last_router_;                     // where the last data lane led
     std::unique_ptr<const LaneOutbox> data_outbox_, signal_outbox_;  // while it is up
     Backoff backoff_{kFirstBackoff, kLastBackoff};
     std::uint64_t attempt_ = 0;

@@ -5,7 +5,6 @@
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
 
-#include <Glacier2/Router.h>
 #include <axon/entitycomm.h>
 #include <axon/messages.pb.h>
 #include <axon/profile.pb.h>
@@ -24,6 +23,7 @@
 #include "transport/ice/communicator.hpp"
 #include "transport/ice/contract.hpp"
 #include "transport/ice/convert.hpp"
+#include "transport/sessions/fake_router.hpp"
 
 namespace axon::entity_manager {
 namespace {
@@ -145,7 +145,7 @@ class Gate final : public slice::EntityGate {
 };
 
 /// A router with the server's servants in it: whoever logs in has a session at once.
-class Router final : public Glacier2::Router {
+class Router final : public transport::FakeRouter {
   public:
     Router(std::shared_ptr<Ice::ObjectAdapter> adapter, ServerLog& log)
         : adapter_(std::move(adapter)), log_(log) {}
@@ -156,22 +156,9 @@ class Router final : public Glacier2::Router {
         opened(Ice::uncheckedCast<Glacier2::SessionPrx>(
             adapter_->addWithUUID(std::make_shared<Session>(Lane::Data, "", log_))));
     }
-    void createSessionFromSecureConnectionAsync(
-        std::function<void(const std::shared_ptr<Glacier2::SessionPrx>&)>,
-        std::function<void(std::exception_ptr)>, const Ice::Current&) override {}
-    void refreshSessionAsync(std::function<void()>, std::function<void(std::exception_ptr)>,
-                             const Ice::Current&) override {}
-    void destroySession(const Ice::Current&) override {}
-    std::string getCategoryForClient(const Ice::Current&) const override { return "its"; }
-    long long int getSessionTimeout(const Ice::Current&) const override { return 0; }
-    int getACMTimeout(const Ice::Current&) const override { return 0; }
-    std::shared_ptr<Ice::ObjectPrx> getClientProxy(Ice::optional<bool>&, const Ice::Current&) const override {
-        return nullptr;
-    }
     std::shared_ptr<Ice::ObjectPrx> getServerProxy(const Ice::Current&) const override {
         return adapter_->createProxy(Ice::stringToIdentity("back"));
     }
-    Ice::ObjectProxySeq addProxies(Ice::ObjectProxySeq, const Ice::Current&) override { return {}; }
 
     std::atomic<int> sessions{0};
 
