@@ -1293,7 +1293,7 @@ TEST(Link, ASlowStopCallbackIsNoSilenceOfTheManager) {
     const auto future = never.get_future().share();
     EntityInterfacer interfacer(options("SlowStop"));
     interfacer.onStop([&, future](const StopSignal& stop) {
-        if (stop.cause == Cause::Requested) future.wait_for(1s * kSlow);  // three of the watchdogs below
+        if (stop.cause == Cause::Requested) future.wait_for(1200ms * kSlow);  // four of the watchdogs below
         if (stop.cause == Cause::LinkLost) lost++;
     });
     interfacer.start();
@@ -1326,7 +1326,7 @@ TEST(Link, AStopCallbackMayWaitForALockThatTheTaskHolds) {
         const std::lock_guard held(robot);
         task.waitFor(30s);
         task_saw_it = task.stopRequested();
-        released.wait_for(1s * kSlow);  // three of the watchdogs below
+        released.wait_for(1200ms * kSlow);  // four of the watchdogs below
     });
     interfacer.start();
     Manager manager("Lock", {5500, 5600}, {}, 300ms, 500ms);
