@@ -512,18 +512,19 @@ class Run:
             if code != "ALREADY_HELD":
                 report.violation(f"{robot.name} was not refused to a second client because it is held: {refused or 'it was given'}")
 
+    def listed(self, front_end):
+        """{UUID: (name, who holds it, state)} of what a front-end server says that there is, asked directly."""
+        address = f"{'ssl://' if self.tls else ''}{front_end['ports']['data']}"
+        _, lines, _ = self.lab.axon("--server", address, "ls", env=self.past_the_routers)
+        return {entity["id"]: (entity["name"], entity["holder_id"], entity["state"]) for line in lines for entity in line.get("entities", ())}
+
     def judge_lists(self, victim, since, how, without, report):
-        """What each front-end server says that there is and who holds it, asked directly."""
+        """All front-end servers list the same robots, and clients have been told of them."""
         front_ends = [program for program in self.lab.server.status["programs"]
                       if program["name"].startswith("fe") and program["name"] not in without]
 
-        def listed(front_end):
-            address = f"{'ssl://' if self.tls else ''}{front_end['ports']['data']}"
-            _, lines, _ = self.lab.axon("--server", address, "ls", env=self.past_the_routers)
-            return {entity["id"]: (entity["name"], entity["holder_id"], entity["state"]) for line in lines for entity in line.get("entities", ())}
-
         while True:
-            lists = {front_end["name"]: listed(front_end) for front_end in front_ends}
+            lists = {front_end["name"]: self.listed(front_end) for front_end in front_ends}
             if all(told == lists[front_ends[0]["name"]] and len(told) == len(self.robots) for told in lists.values()):
                 report.agree_s.append(time.monotonic() - since)
                 break
@@ -532,15 +533,15 @@ class Run:
                 return
             time.sleep(0.05)
         if front_ends:
-            self.judge_news(victim, how, lambda: listed(front_ends[0]), report)
+            self.judge_news(victim, how, front_ends[0], report)
 
-    def judge_news(self, victim, how, listed, report):
+    def judge_news(self, victim, how, front_end, report):
         """Who holds a robot, and so notices soon when its router is silent, has been told what a server lists: of no robot was the last
         update lost on its way."""
         limit = time.monotonic() + PATIENCE_S
         clients = [client for client in self.clients if any(robot.client is client for robot in self.robots)]
         while True:
-            expected = listed()
+            expected = self.listed(front_end)
             wrong = {}
             for client, (_, refused, said) in zip(clients, self.for_each(clients, lambda client: client.asks("list"))):
                 told = {entity: tuple(its) for entity, its in (said or {}).items()}
