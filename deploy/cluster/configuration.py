@@ -348,6 +348,8 @@ Glacier2.Server.Buffered=0
 # Pass on the contexts of requests (a display name, the token that joins the two lanes):
 Glacier2.Client.ForwardContext=1
 Glacier2.Server.ForwardContext=1
+# Tell the servers from which address somebody logs in: for their records, and because wrong passwords count for it:
+Glacier2.AddConnectionContext=2
 # Log each session that begins or ends:
 Glacier2.Trace.Session=1
 # One thread for what arrives, because several would wake each other for each message (docs/adr/0018-routers.md). Should one

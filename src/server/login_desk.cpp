@@ -104,7 +104,7 @@ void LoginDesk::record(Door door, const std::string& user, const std::string& pe
 LoginDesk::Answer LoginDesk::recorded(Door door, const LoginRequest& request, Answer answer) const {
     // Not the request itself, which has the password.
     const auto user = request.user.empty() && request.certificate ? request.certificate->name : request.user;
-    return [this, door, user = cut(user), peer = request.peer,
+    return [this, door, user = cut(user), peer = request.from(),
             answer = std::move(answer)](Result<LoggedIn> who) {
         record(door, user, peer, who);
         answer(std::move(who));
@@ -113,14 +113,14 @@ LoginDesk::Answer LoginDesk::recorded(Door door, const LoginRequest& request, An
 
 void LoginDesk::client(LoginRequest request, Answer answer) {
     answer = recorded(Door::Client, request, std::move(answer));
-    if (auto wrong = wrongCertificate(Door::Client, request.certificate, request.peer))
+    if (auto wrong = wrongCertificate(Door::Client, request.certificate, request.from()))
         return answer(std::move(*wrong));
     enqueue(Door::Client, std::move(request), std::move(answer));
 }
 
 void LoginDesk::entity(LoginRequest request, Answer answer) {
     answer = recorded(Door::Entity, request, std::move(answer));
-    if (auto wrong = wrongCertificate(Door::Entity, request.certificate, request.peer))
+    if (auto wrong = wrongCertificate(Door::Entity, request.certificate, request.from()))
         return answer(std::move(*wrong));
     const auto name = request.certificate ? request.certificate->name : std::string();
     if (!has_users_ || (request.certificate && request.user.empty()))
@@ -135,11 +135,11 @@ void LoginDesk::entity(LoginRequest request, Answer answer) {
 }
 
 void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
-    const auto address = request.peer.substr(0, request.peer.rfind(':'));
+    const auto address = request.from().substr(0, request.from().rfind(':'));
     // Before it waits: nobody keeps memory here that the server has not asked for.
     const auto turnAway = [&](const Refusal& its) {
         if (lines_.admit(steady_.now()))
-            note_("audit: a log-in from " + request.peer + " was refused: " + its.message);
+            note_("audit: a log-in from " + request.from() + " was refused: " + its.message);
         answer(its);
     };
     if (request.user.size() > kLoginTextMax || request.password.size() > kLoginTextMax)
@@ -225,7 +225,7 @@ Result<LoggedIn> LoginDesk::decideWithUsers(const Job& job) {
     const auto& its_user = certified && request.user.empty() ? request.certificate->name : request.user;
     const auto user = cut(its_user);
     const auto failed = [&](const std::string& why) {
-        note_("audit: failed log-in of '" + user + "' from " + request.peer + " (" + why + ")");
+        note_("audit: failed log-in of '" + user + "' from " + request.from() + " (" + why + ")");
     };
     if (certified && its_user != request.certificate->name) {
         failed("its certificate is '" + cut(request.certificate->name) + "'s");

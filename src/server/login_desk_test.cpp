@@ -37,9 +37,9 @@ class LoginDeskTest : public testing::Test {
         return *desk;
     }
     Result<LoggedIn> client(const std::string& user, const std::string& password,
-                            const std::string& host = "10.0.0.1") {
+                            const std::string& host = "10.0.0.1", const std::string& behind_router = {}) {
         std::promise<Result<LoggedIn>> promise;
-        desk->client({user, password, host + ":50122", "10.0.0.9:10410"},
+        desk->client({user, password, host + ":50122", "10.0.0.9:10410", {}, {}, behind_router},
                      [&](Result<LoggedIn> who) { promise.set_value(std::move(who)); });
         return promise.get_future().get();
     }
@@ -244,6 +244,17 @@ TEST_F(LoginDeskTest, WhoGuessesWaitsAndNobodyElseDoes) {
     clock.advance(1s);
     EXPECT_TRUE(client("boss", "secret1").ok());
     EXPECT_THAT(client("boss", "guess").refusal().message, HasSubstr("wrong user"));
+}
+
+TEST_F(LoginDeskTest, BehindARouterAnAddressIsThatWhichTheRouterSees) {
+    withUsers();
+    for (int i = 0; i < 3; ++i) client("boss", "guess", "10.0.0.1", "10.7.0.1:" + std::to_string(i + 1));
+    EXPECT_THAT(trail.last(), HasSubstr("boss@10.7.0.1:3|refusal|"));
+    EXPECT_THAT(notes.back(), HasSubstr("from 10.7.0.1:3"));
+    EXPECT_THAT(client("boss", "secret1", "10.0.0.1", "10.7.0.1:9").refusal().message,
+                HasSubstr("try again in 1 s"));
+    EXPECT_TRUE(client("boss", "secret1", "10.0.0.1", "10.7.0.2:9").ok());
+    EXPECT_TRUE(client("boss", "secret1").ok());
 }
 
 TEST_F(LoginDeskTest, WithoutUsersTheServersOwnUserAndRootAreAdmin) {

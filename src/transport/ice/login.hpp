@@ -25,6 +25,11 @@ struct LoginRequest {
     std::optional<PeerCertificate> certificate = {};
     /// The page from which a browser connects, by the header `Origin` of its WebSocket; none of others.
     std::optional<std::string> origin = {};
+    /// Behind a router: the other end of the router's connection, if the router says it.
+    std::string behind_router = {};
+
+    /// Where it comes from, for records and for what each address may do.
+    const std::string& from() const { return behind_router.empty() ? peer : behind_router; }
 };
 
 /// Who it is. `user` is empty where the server runs without users.

@@ -41,6 +41,18 @@ std::optional<PeerCertificate> certificateIn(const Glacier2::SSLInfo& info) {
     }
 }
 
+/// The other end of the router's connection (Glacier2.AddConnectionContext); empty where it does not say.
+std::string behindRouter(const Ice::Context& context) {
+    const auto address = context.find("_con.remoteAddress"), port = context.find("_con.remotePort");
+    constexpr std::size_t kAddressMax = 64, kPortMax = 5;
+    if (address == context.end() || port == context.end() || address->second.empty() ||
+        address->second.size() > kAddressMax || port->second.size() > kPortMax ||
+        address->second.find_first_not_of("0123456789abcdefABCDEF.:") != std::string::npos ||
+        port->second.find_first_not_of("0123456789") != std::string::npos)
+        return {};
+    return address->second + ":" + port->second;
+}
+
 bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason,
                const Ice::Current& current) {
     if (const auto may = door.routers.admit(current.con); !may) {
@@ -53,6 +65,7 @@ bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason
     auto answered = answer->get_future();
     request.peer = DirectConnection::peerOf(*current.con);
     request.local = DirectConnection::localOf(*current.con);
+    request.behind_router = behindRouter(current.ctx);
     door.verify(std::move(request), [answer](Result<LoggedIn> who) { answer->set_value(std::move(who)); });
     const auto who = answered.get();
     if (!who) reason = who.refusal().message;
