@@ -212,7 +212,7 @@ struct ServerStation::Life final : public front_end_server::EntityTopic, public 
     explicit Life(ServerStation& station)
         : front_end(
               {}, station.process_, station.random_, *this, [](const std::string&) {},
-              [&station] { station.wake(); }),
+              [&station](auto) { station.wake(); }),
           entities(
               settings(), station.process_, station.random_, *this, [](const std::string&) {},
               [&station] { station.wake(); },
@@ -295,7 +295,8 @@ void ServerStation::wake() {
 }
 
 void ServerStation::onTimer() {
-    const auto next = std::min(life_->front_end.onTimer(), life_->entities.onTimer());
+    const auto next =
+        std::min({life_->front_end.onTimer(), life_->front_end.tellHeld(), life_->entities.onTimer()});
     alarm_.set(next);
 }
 

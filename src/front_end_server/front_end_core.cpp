@@ -38,9 +38,8 @@ std::string sessionsOf(const std::string& user, const FrontEndCoreSettings& sett
 }  // namespace
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
-                           EntityTopic& topic, Note note, std::function<void()> wake,
-                           GlobalServicesPort* global_services, audit::AuditTrail* trail,
-                           const users::PresentUsers* users)
+                           EntityTopic& topic, Note note, Wake wake, GlobalServicesPort* global_services,
+                           audit::AuditTrail* trail, const users::PresentUsers* users)
     : settings_(settings),
       clock_(clock),
       random_(random),
@@ -123,7 +122,8 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         if (!user.empty()) id.replace(0, kUserDigits, userPart(user));
         Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), surplus ? Role::Observer : role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
-                                          settings_, clock_.now(), user, share, surplus);
+                                          settings_, clock_.now(), user, share, surplus,
+                                          kStatusesHeld * (clients_.size() % 16) / 16);
         if (share) {
             ++share->sessions;
             if (surplus) ++share->surplus;
@@ -131,7 +131,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         }
         clients_.add(client);
     }
-    wake_();
+    wake_(Due::OnTimer);
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
     log_.joined(client->me, user);
     if (client->surplus && role != Role::Observer)
@@ -376,7 +376,7 @@ Result<void> FrontEndCore::mayGoOn(Client& client, Header& head, std::size_t byt
             return {};
         updateHolding(client.me.id);
     }
-    wake_();
+    wake_(Due::OnTimer);
     return {};
 }
 
@@ -746,7 +746,7 @@ void FrontEndCore::entityServerEntities(const std::string& server, const std::ve
 
 void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& server) {
     if (alone()) return;
-    if (entity_servers_.heard(lane, server, clock_.now())) wake_();
+    if (entity_servers_.heard(lane, server, clock_.now())) wake_(Due::OnTimer);
     if (lane == Lane::Signal || !isServerName(server.name)) return;
     {
         const std::lock_guard lock(mutex_);
@@ -756,7 +756,7 @@ void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& serve
 }
 
 void FrontEndCore::entityServerRefused(const std::string& server, const std::string& signals) {
-    if (entity_servers_.refused(server, signals)) wake_();
+    if (entity_servers_.refused(server, signals)) wake_(Due::OnTimer);
 }
 
 void FrontEndCore::topicFound() {
@@ -774,6 +774,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     std::string entity, doubted;
     Registration registration;  // as far as lists ask for it
     bool passed = false;        // to another holder, or to none
+    std::string holder_before;
     Barred barred;
     {
         const std::lock_guard lock(mutex_);
@@ -785,6 +786,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         const auto& before = record_before->status.holder.id;
         const auto& holder = status.holder.id;
         passed = before != holder;
+        holder_before = before;
         if (passed) letGo(before, entity);
         if (!holder.empty()) {
             if (const auto client = clients_.find(holder)) {
@@ -812,17 +814,65 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         settlement_.stop(late->sender, late->ending, {{entity, busy}});
         settlement_.tellGone(late->sender, late->ending, {{entity, busy}});
     }
-    if (busy) wake_();
+    if (busy) wake_(Due::OnTimer);
     // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the
     // newest.
     while (true) {
-        toThoseWhoSee(registration, [&](ClientOutbox& client) { client.newStatusMsg(status); });
+        tellStatus(registration, status, holder_before);
         if (number == 0) return;
         const std::lock_guard lock(mutex_);
         const auto newest = entities_.find(entity);
         if (!newest || newest->number <= number) return;
         status = newest->status;
         number = newest->number;
+    }
+}
+
+/// At once whom it concerns: who holds the entity, or did. Others, too, unless many statuses change.
+void FrontEndCore::tellStatus(const Registration& registration, const EntityStatus& status,
+                              const std::string& holder_before) {
+    const auto lists = access(Lane::Data);
+    bool first = false;
+    clients_.to(Lane::Data, {}, [&](Client& client, ClientOutbox& outbox) {
+        if (!sees(client, *lists, registration)) return;
+        if (client.me.id == status.holder.id || client.me.id == holder_before) {
+            client.statuses.drop(status.entity);
+        } else if (const auto verdict = client.statuses.offer(status.entity, clock_.now());
+                   verdict != HeldStatuses::Verdict::Now) {
+            first = first || verdict == HeldStatuses::Verdict::First;
+            return;
+        }
+        outbox.newStatusMsg(status);
+    });
+    if (first) wake_(Due::TellHeld);
+}
+
+TimePoint FrontEndCore::tellHeld() {
+    auto next = clock_.now() + std::chrono::hours{1};
+    clients_.each([&](const ClientRef& client) {
+        if (const auto entities = client->statuses.take(clock_.now()); !entities.empty())
+            tellHeld(*client, entities);
+        next = std::min(next, client->statuses.due());
+    });
+    return next;
+}
+
+/// Until what was told is what is: another thread may have told something newer meanwhile.
+void FrontEndCore::tellHeld(const Client& client, const std::vector<std::string>& entities) {
+    const auto find = [&](const std::string& entity) {
+        const std::lock_guard lock(mutex_);
+        return entities_.find(entity);
+    };
+    const auto lists = access(Lane::Data);
+    for (const auto& entity : entities) {
+        auto record = find(entity);
+        while (record && record->heard && sees(client, *lists, record->registration)) {
+            client.data->newStatusMsg(record->status);
+            auto now = find(entity);
+            if (now == record) break;
+            if (!now) client.data->newBasicPrflMsg(Presence::Left, record->registration, {});
+            record = std::move(now);
+        }
     }
 }
 

@@ -68,10 +68,14 @@ class FrontEndCore {
   public:
     using ClientRef = front_end_server::ClientRef;
     using Note = std::function<void(const std::string& line)>;
+    /// Which of its two functions of time wants to be called earlier than it said. They are for two threads:
+    /// what clients are told of many entities must not make heartbeats late.
+    enum class Due : std::uint8_t { OnTimer, TellHeld };
+    using Wake = std::function<void(Due)>;
 
     /// `global_services`, `trail`, `users`: null where there are none.
     FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
-                 Note note, std::function<void()> wake, GlobalServicesPort* global_services = nullptr,
+                 Note note, Wake wake, GlobalServicesPort* global_services = nullptr,
                  audit::AuditTrail* trail = nullptr, const users::PresentUsers* users = nullptr);
     ~FrontEndCore();
 
@@ -125,6 +129,9 @@ class FrontEndCore {
 
     /// Gives up silent clients and sends heartbeats; returns when it wants to be called again.
     TimePoint onTimer();
+    /// Tells clients the statuses that were held back because many changed; returns when it wants to be
+    /// called again.
+    TimePoint tellHeld();
     /// Tells every client that the server is shutting down.
     void shutDown();
 
@@ -190,6 +197,9 @@ class FrontEndCore {
     void giveUp(const GivenUp& what);
     template <class Send>
     void toThoseWhoSee(const Registration& registration, Send&& send);
+    void tellStatus(const Registration& registration, const EntityStatus& status,
+                    const std::string& holder_before);
+    void tellHeld(const Client& client, const std::vector<std::string>& entities);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
     void ask(const std::string& server);
@@ -202,7 +212,7 @@ class FrontEndCore {
     RandomSource& random_;
     EntityTopic& topic_;
     const Note note_;
-    const std::function<void()> wake_;
+    const Wake wake_;
     GlobalServicesPort* const global_services_;
     const users::PresentUsers* const users_;
 

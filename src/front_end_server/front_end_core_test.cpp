@@ -52,6 +52,7 @@ class FakeOutbox final : public ClientOutbox {
     }
     void newStatusMsg(const EntityStatus& status) override {
         lines.push_back(status.entity + " " + toString(status.state));
+        if (while_status_told) std::exchange(while_status_told, nullptr)();
     }
     bool newEntityMsg(Lane, const Header& head, std::string_view message, QueueShare share) override {
         last_head = head;
@@ -79,7 +80,7 @@ class FakeOutbox final : public ClientOutbox {
     bool slow = false;             ///< each entity has its share of what waits here
     const void* router = nullptr;  ///< null: there is none between
     Header last_head, refused_head;
-    std::function<void()> while_told;
+    std::function<void()> while_told, while_status_told;
 };
 
 class FakeTopic final : public EntityTopic {
@@ -207,10 +208,11 @@ class FrontEndTest : public testing::Test {
     void pass(Duration time) {
         const auto end = clock.now() + time;
         while (clock.now() < end) {
-            const auto next = core.onTimer();
+            const auto next = std::min(core.onTimer(), core.tellHeld());
             clock.set(std::min(std::max(next, clock.now() + 1ms), end));
         }
         core.onTimer();
+        core.tellHeld();
     }
 
     ManualClock clock;
@@ -222,8 +224,8 @@ class FrontEndTest : public testing::Test {
     test::RecordedAudit trail;
     FakeUsers users;
     FrontEndCore core{
-        settings, clock,   random, topic, [this](const std::string& line) { notes.push_back(line); },
-        [] {},    nullptr, &trail, &users};
+        settings,    clock,   random, topic, [this](const std::string& line) { notes.push_back(line); },
+        [](auto) {}, nullptr, &trail, &users};
 };
 
 TEST_F(FrontEndTest, TellsAClientWhoIsThereAndWhatChanges) {
@@ -252,6 +254,82 @@ TEST_F(FrontEndTest, TheLastWordAboutAnEntityIsTheTrueOneThoughItChangesWhileACl
     other->while_told = [&] { status("e2", EntityState::ERR); };
     ASSERT_TRUE(core.setCallback("client2", Role::Operator, other).ok());
     EXPECT_EQ(other->lines.back(), "e2 ERR");
+}
+
+// Many changes at once (ADR 0048).
+class ManyStatuses : public FrontEndTest {
+  protected:
+    ManyStatuses() {
+        for (int i = 0; i < 20; ++i) entity("e" + std::to_string(i));
+        observer = join("observer");
+        for (int i = 0; i < static_cast<int>(kStatusesAtOnce); ++i)
+            status("e19", i % 2 == 0 ? kFirst : kSecond);
+        EXPECT_THAT(observer.data->take(), SizeIs(20 + kStatusesAtOnce));
+    }
+    static constexpr auto kFirst = EntityState::IDLE, kSecond = EntityState::ERR;
+    Peer observer;
+};
+
+TEST_F(ManyStatuses, AreToldWithinATenthOfASecondAndOfEachEntityOnlyTheLast) {
+    for (int i = 0; i < 5; ++i) {
+        status("e1", kFirst);
+        status("e0", i % 2 == 0 ? kFirst : kSecond);
+        status("e1", kSecond);
+    }
+    EXPECT_THAT(observer.data->take(), IsEmpty());
+    pass(kStatusesHeld);
+    EXPECT_THAT(observer.data->take(), ElementsAre("e1 ERR", "e0 IDLE"));
+    pass(1s);
+    EXPECT_THAT(observer.data->take(), IsEmpty());
+    status("e1", kFirst);
+    EXPECT_THAT(observer.data->take(), ElementsAre("e1 IDLE"));
+}
+
+TEST_F(ManyStatuses, AreToldAtOnceToWhoHoldsTheEntityOrDid) {
+    const auto holder = join("holder");
+    holder.data->take();
+    for (int i = 0; i < 50; ++i) status("e" + std::to_string(i % 10), i / 10 % 2 == 0 ? kFirst : kSecond);
+    EXPECT_THAT(holder.data->take(), SizeIs(kStatusesAtOnce));
+    status("e0", EntityState::REG, holder.id());
+    EXPECT_THAT(holder.data->take(), ElementsAre("e0 REG"));
+    status("e0", EntityState::IDLE);
+    EXPECT_THAT(holder.data->take(), ElementsAre("e0 IDLE"));
+    pass(kStatusesHeld);
+    EXPECT_THAT(holder.data->take(), Not(Contains(HasSubstr("e0 "))));
+}
+
+TEST_F(ManyStatuses, OfAnEntityThatHasLeftNoneIsTold) {
+    status("e0", kFirst);
+    status("e1", kFirst);
+    core.entityBasicPrflUpdate(Presence::Left, {"e0"}, {});
+    observer.data->take();
+    pass(kStatusesHeld);
+    EXPECT_THAT(observer.data->take(), ElementsAre("e1 IDLE"));
+}
+
+TEST_F(ManyStatuses, TheLastWordIsTheTrueOneThoughItChangesWhileAClientIsTold) {
+    status("e0", kFirst);
+    observer.data->take();
+    // As another thread would.
+    observer.data->while_status_told = [&] { status("e0", kSecond); };
+    pass(kStatusesHeld);
+    EXPECT_EQ(observer.data->take().back(), "e0 ERR");
+    status("e0", kFirst);
+    observer.data->while_status_told = [&] { core.entityBasicPrflUpdate(Presence::Left, {"e0"}, {}); };
+    pass(kStatusesHeld);
+    EXPECT_EQ(observer.data->take().back(), "left e0");
+}
+
+TEST_F(ManyStatuses, AreNotToldToWhoSeesTheEntityNoMore) {
+    const auto guest = join("guest", "guest", Role::Observer);
+    for (int i = 0; i < static_cast<int>(kStatusesAtOnce); ++i) status("e19", i % 2 == 0 ? kFirst : kSecond);
+    status("e0", kFirst);
+    guest.data->take();
+    users.list({{"see", "e0", "ann"}});
+    core.usersChanged();
+    EXPECT_THAT(guest.data->take(), ElementsAre("left e0"));
+    pass(kStatusesHeld);
+    EXPECT_THAT(guest.data->take(), Not(Contains(HasSubstr("e0 "))));
 }
 
 TEST_F(FrontEndTest, AllStatusesAreToldAFewTimesInASecond) {
@@ -396,7 +474,7 @@ TEST(FrontEndLocks, SignsOfLifeAndStopsDoNotWaitForTheMonitor) {
     WhileLocked random;
     FakeTopic topic;
     FrontEndCore core(
-        {}, clock, random, topic, [](const std::string&) {}, [] {});
+        {}, clock, random, topic, [](const std::string&) {}, [](auto) {});
     const auto client = core.setCallback("client1", Role::Operator, std::make_shared<FakeOutbox>()).value();
     Header head;
     head.entity = "e1";
@@ -774,7 +852,8 @@ class LimitedUsers : public FrontEndTest {
         few.user_messages_per_second = 10;
         few.user_bytes_per_second = 1000;
         limited.emplace(
-            few, clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {});
+            few, clock, random, topic, [this](const std::string& line) { notes.push_back(line); },
+            [](auto) {});
     }
     Peer enter(const std::string& user) {
         Peer peer;
@@ -1304,7 +1383,7 @@ TEST_F(FrontEndTest, GlobalServicesAreAnsweredToWhoAskedAndNeverReadHere) {
         }
     } services;
     FrontEndCore its(
-        settings, clock, random, topic, [](const std::string&) {}, [] {}, &services);
+        settings, clock, random, topic, [](const std::string&) {}, [](auto) {}, &services);
     const auto data = std::make_shared<FakeOutbox>();
     const auto other = std::make_shared<FakeOutbox>();
     const auto client = its.setCallback("client1", Role::Observer, data).value();
@@ -1433,7 +1512,7 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
     settings.messages_per_second = 3;
     settings.clients_max = 1;
     FrontEndCore core(
-        settings, clock, random, topic, [](const std::string&) {}, [] {});
+        settings, clock, random, topic, [](const std::string&) {}, [](auto) {});
     auto data = std::make_shared<FakeOutbox>();
     const auto client = core.setCallback("client1", Role::Operator, data).value();
     EXPECT_EQ(core.setCallback("client2", Role::Operator, data).refusal().code, RefusalCode::Overloaded);
@@ -1462,7 +1541,7 @@ TEST_F(FrontEndTest, ABusyClientHearsAHeartbeatInEachFifthOfTheWatchdogBetween50
         SCOPED_TRACE(watchdog.count());
         settings.watchdog_busy = watchdog;
         FrontEndCore its(
-            settings, clock, random, topic, [](const std::string&) {}, [] {});
+            settings, clock, random, topic, [](const std::string&) {}, [](auto) {});
         const auto signal = std::make_shared<FakeOutbox>();
         const auto client =
             its.setCallback("client1", Role::Operator, std::make_shared<FakeOutbox>()).value();
@@ -1533,7 +1612,8 @@ class OneOfSeveral : public FrontEndTest {
     }
 
     FrontEndCore several{
-        named(), clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
+        named(),    clock, random, topic, [this](const std::string& line) { notes.push_back(line); },
+        [](auto) {}};
 };
 
 TEST_F(OneOfSeveral, TheEntitiesOfAServerThatRefusesConnectionsLeaveWithTheNextHeartbeat) {

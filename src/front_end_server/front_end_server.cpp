@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "front_end_server/front_end_server.hpp"
 
+#include <atomic>
+#include <chrono>
 #include <optional>
 
 #include "front_end_server/servants.hpp"
+#include "transport/ice/timer_thread.hpp"
 #include "transport/sessions/server_rim.hpp"
 #include "transport/sessions/session_door.hpp"
 
@@ -22,15 +25,26 @@ struct FrontEndServer::Parts {
               settings.links),
           core(
               settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),
-              [this] { rim.wake(); }, settings.global_services, settings.audit, settings.users),
+              [this](FrontEndCore::Due due) { wake(due); }, settings.global_services, settings.audit,
+              settings.users),
           rim(core, topic, settings, data, signal, its_clock),
-          clock(its_clock) {}
+          clock(its_clock),
+          statuses("axon-statuses", Lane::Data, std::chrono::milliseconds{5}, its_clock,
+                   [this] { return core.tellHeld(); }) {
+        statuses_ready = &statuses;
+    }
+    void wake(FrontEndCore::Due due) {
+        if (due == FrontEndCore::Due::OnTimer) return rim.wake();
+        if (auto* const thread = statuses_ready.load()) thread->wake();
+    }
 
     IceEntityTopic topic;
     FrontEndCore core;
     transport::ServerRim<ClientSessions> rim;
     const Clock& clock;
     std::optional<transport::SessionDoor<ClientSessions>> browsers;
+    std::atomic<transport::TimerThread*> statuses_ready{nullptr};
+    transport::TimerThread statuses;  // destroyed first: it calls the core
 };
 
 FrontEndServer::FrontEndServer(const FrontEndServerSettings& settings,
@@ -71,6 +85,7 @@ std::string FrontEndServer::routerAddress() const {
 
 void FrontEndServer::end() {
     parts_->rim.end();
+    parts_->statuses.end();
     if (parts_->browsers) parts_->browsers->end();
     if (parts_->rim.isOneOfSeveral()) parts_->topic.end();
 }

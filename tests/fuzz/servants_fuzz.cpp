@@ -111,7 +111,7 @@ struct Servers final : front_end_server::EntityTopic, entity_server::FrontEndTop
 
     ManualClock clock;
     SeededRandom random{1};
-    front_end_server::FrontEndCore clients{{}, clock, random, *this, [](const std::string&) {}, [] {}};
+    front_end_server::FrontEndCore clients{{}, clock, random, *this, [](const std::string&) {}, [](auto) {}};
     entity_server::EntityServerCore entities{
         {}, clock, random, *this, [](const std::string&) {}, [] {}, [this] { entities.publishPending(); }};
 };

@@ -11,6 +11,7 @@
 #include "common/rate_limit.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
+#include "front_end_server/clients/held_statuses.hpp"
 #include "front_end_server/clients/its_entities.hpp"
 #include "front_end_server/clients/user_share.hpp"
 #include "front_end_server/ports/core_settings.hpp"
@@ -33,7 +34,7 @@ class Client {
   public:
     Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
            const FrontEndCoreSettings& settings, TimePoint now, std::string its_user = {},
-           std::shared_ptr<UserShare> its_share = nullptr, bool is_surplus = false)
+           std::shared_ptr<UserShare> its_share = nullptr, bool is_surplus = false, Duration phase = {})
         : me(std::move(its_sender)),
           token(std::move(its_token)),
           user(std::move(its_user)),
@@ -44,6 +45,7 @@ class Client {
           rate(settings.messages_per_second),
           drill_rate(settings.drills_per_second),
           liveness(settings.watchdog_busy, settings.watchdog_idle, now),
+          statuses(phase),
           next_heartbeat(now + settings.heartbeat_idle) {}
 
     // Constant after construction.
@@ -60,6 +62,7 @@ class Client {
     Liveness liveness;                               // hears without a lock; changed under the core's mutex
     std::atomic<std::size_t> told{0};                // entities, when it joined
     ItsEntities entities;
+    HeldStatuses statuses;
     std::atomic<bool> gone{false};  // what it sends is passed on no more, but for stops
 
     // Guarded by the core's mutex.
