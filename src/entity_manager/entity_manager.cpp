@@ -34,7 +34,8 @@ EntityManager::EntityManager(asio::any_io_executor executor, std::string name, c
       clock_(clock),
       ice_(std::move(ice)),
       way_(way),
-      timer_(strand_, clock_) {}
+      timer_(strand_, clock_),
+      turn_timer_(strand_, clock_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
                                                      std::shared_ptr<ServerCommunicators> ice,
@@ -107,11 +108,23 @@ void EntityManager::offerDirect(const DirectSettings& settings) {
                                                way_ == WayToServer::Tls);
 }
 
+void EntityManager::watchedBy(transport::ServiceWatchdog::Worker turned) {
+    turned_ = std::move(turned);
+}
+
 void EntityManager::start() {
     asio::post(strand_, [self = shared_from_this()] {
         self->core_->start();
         self->back_end_.start();
         self->afterEvents();
+        if (self->turned_) self->turn();
+    });
+}
+
+void EntityManager::turn() {
+    if (stopped_) return;
+    turn_timer_.at(turned_(clock_.now()), [weak = weak_from_this()] {
+        if (const auto self = weak.lock()) self->turn();
     });
 }
 
@@ -128,6 +141,7 @@ void EntityManager::stop() {
             if (doors_) doors_->shut();
             back_end_.close();
             timer_.cancel();
+            turn_timer_.cancel();
         }
         done.set_value();
     });

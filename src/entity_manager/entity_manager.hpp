@@ -20,6 +20,7 @@
 #include "entity_manager/strand/caller_first.hpp"
 #include "entity_manager/strand/due_timer.hpp"
 #include "entity_manager/strand/inbox.hpp"
+#include "transport/process/service_manager.hpp"
 
 namespace axon::entity_manager {
 
@@ -71,6 +72,9 @@ class EntityManager final : public ServerEvents,
     void offerDirect(const DirectSettings& settings);
     /// Whether the holder does; any thread, as of the last event.
     bool direct() const { return direct_.load(); }
+
+    /// Before start(): the strand calls it from then on, and again at the time that it returns, until stop().
+    void watchedBy(transport::ServiceWatchdog::Worker turned);
 
     void start();
     /// Stops the robot, leaves the server, closes the link. Blocks until the strand has done so (below a
@@ -138,6 +142,7 @@ class EntityManager final : public ServerEvents,
     /// Messages of the direct path wait for room, and there is some.
     void letDirectGoOn();
     void armTimer();
+    void turn();
 
     Strand strand_;
     const std::string name_;
@@ -156,6 +161,8 @@ class EntityManager final : public ServerEvents,
     Journal* journal_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;
     DueTimer timer_;
+    transport::ServiceWatchdog::Worker turned_;  // empty: nobody asks
+    DueTimer turn_timer_;                        // of turned_
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> direct_{false};
     std::atomic<int> openings_{0};             // that wait for the strand

@@ -58,6 +58,7 @@ int main(int argc, char** argv) {
         AuditedJournal audited(journal, audit::orNone(trail.get()),
                                storage.load(kUuidKey).value_or(std::string()));
         Journal& its_journal = trail ? static_cast<Journal&>(audited) : journal;
+        const auto watchdog = transport::ServiceWatchdog::fromEnvironment();  // outlives the executor
         asio::thread_pool executor(1);
         // It beats for the robot application, whose watchdog is the shortest: not behind what else wants the
         // processor.
@@ -76,6 +77,7 @@ int main(int argc, char** argv) {
         });
         manager->receiveDatagrams(options.datagrams, clock);
         manager->offerDirect(options.direct);
+        if (watchdog) manager->watchedBy(watchdog->worker());
         manager->start();
         std::cout << "ready application=" << options.core.application << " entity=" << manager->uuid()
                   << " server=" << options.server.text()

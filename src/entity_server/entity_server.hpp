@@ -10,6 +10,7 @@
 #include "common/ids.hpp"
 #include "entity_server/entity_server_core.hpp"
 #include "transport/ice/connection_limits.hpp"
+#include "transport/process/service_manager.hpp"
 
 namespace Ice {
 class Communicator;
@@ -49,6 +50,9 @@ struct EntityServerSettings {
     /// Of one of several whose links to the others are under TLS. Outlives the communicators. Null: they are
     /// plain.
     transport::LinkTrust* links = nullptr;
+    /// Its timer thread calls it on each turn, and again at the time that it returns; it outlives end().
+    /// Empty: nobody asks (ServiceWatchdog).
+    transport::ServiceWatchdog::Worker turned = {};
     /// Looks after the connections of peers from activate() on. Needed; outlives the server.
     transport::ConnectionLimits* limits = nullptr;
 };

@@ -10,6 +10,7 @@
 #include "common/ids.hpp"
 #include "front_end_server/front_end_core.hpp"
 #include "transport/ice/connection_limits.hpp"
+#include "transport/process/service_manager.hpp"
 #include "transport/sessions/door_settings.hpp"
 
 namespace Ice {
@@ -53,6 +54,9 @@ struct FrontEndServerSettings {
     /// Of one of several whose links to the others are under TLS. Outlives the communicators. Null: they are
     /// plain.
     transport::LinkTrust* links = nullptr;
+    /// Its timer thread calls it on each turn, and again at the time that it returns; it outlives end().
+    /// Empty: nobody asks (ServiceWatchdog).
+    transport::ServiceWatchdog::Worker turned = {};
     /// Looks after the connections of peers from activate() on. Needed; outlives the server.
     transport::ConnectionLimits* limits = nullptr;
 };

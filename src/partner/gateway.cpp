@@ -4,6 +4,7 @@
 #include <sodium.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <asio/post.hpp>
 #include <asio/strand.hpp>
 #include <future>
@@ -217,6 +218,10 @@ std::shared_ptr<Gateway> Gateway::create(GatewaySettings settings, const Clock& 
 
 Gateway::~Gateway() = default;
 
+void Gateway::watchedBy(transport::ServiceWatchdog::Worker turned) {
+    turned_ = std::move(turned);
+}
+
 void Gateway::start() {
     post([](PartnerCore& core) { core.start(); });
     asio::post(strand_, [weak = weak_from_this()] {
@@ -227,7 +232,10 @@ void Gateway::start() {
 void Gateway::turn() {
     if (stopping_) return;
     core_.onTimer();
-    timer_.at(clock_.now() + PartnerCore::kTurn / 2, [weak = weak_from_this()] {
+    const auto now = clock_.now();
+    auto next = now + PartnerCore::kTurn / 2;
+    if (turned_) next = std::min(next, turned_(now));
+    timer_.at(next, [weak = weak_from_this()] {
         if (const auto self = weak.lock()) self->turn();
     });
 }

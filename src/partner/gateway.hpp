@@ -19,6 +19,7 @@
 #include "partner/ports.hpp"
 #include "partner/queues.hpp"
 #include "partner/signal_relay.hpp"
+#include "transport/process/service_manager.hpp"
 
 namespace axon::partner {
 
@@ -57,6 +58,9 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     /// Throws std::runtime_error for settings that Ice does not accept.
     static std::shared_ptr<Gateway> create(GatewaySettings settings, const Clock& clock);
     ~Gateway() override;
+
+    /// Before start(): the strand calls it on each turn from then on, until stop().
+    void watchedBy(transport::ServiceWatchdog::Worker turned);
 
     void start();
     /// Ends all sessions in order and joins the threads; blocks.
@@ -126,6 +130,7 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     std::atomic<std::size_t> leaving_{0};
     std::atomic<bool> overflown_{false};
     std::atomic<bool> stopping_{false};
+    transport::ServiceWatchdog::Worker turned_;  // empty: nobody asks; constant from start() on
 
     // Confined to the strand.
     PartnerCore core_;

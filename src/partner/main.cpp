@@ -38,10 +38,12 @@ int main(int argc, char** argv) {
         const auto ready = "ready partner=" + core.laboratory + " as=" + core.home +
                            " server=" + options.gateway.there.server +
                            " entity-server=" + options.gateway.home.text();
+        const auto watchdog = transport::ServiceWatchdog::fromEnvironment();  // outlives the gateway
         const auto gateway = Gateway::create(std::move(options.gateway), *time);
         interrupts.setCallback([&](int) {
             if (!once.test_and_set()) ended.set_value();
         });
+        if (watchdog) gateway->watchedBy(watchdog->worker());
         gateway->start();
         std::cout << ready << " (now looking for both)" << std::endl;
         transport::tellServiceManagerReady();

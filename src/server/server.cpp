@@ -476,6 +476,7 @@ void placeAmongServers(Its& its, const ServerSettings& settings, const std::stri
     its.name = settings.name;
     its.neighbours = settings.neighbours;
     its.links = links;
+    if (settings.watchdog != nullptr) its.turned = settings.watchdog->worker();
 }
 
 front_end_server::FrontEndServerSettings frontEndSettings(const ServerSettings& settings,

@@ -10,6 +10,7 @@
 #include "audit/trail.hpp"
 #include "entity_server/entity_server_core.hpp"
 #include "front_end_server/front_end_core.hpp"
+#include "transport/process/service_manager.hpp"
 
 namespace axon::server {
 
@@ -66,6 +67,8 @@ struct ServerSettings {
     bool plain_tcp = false;                             ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted
+    /// Is told that the timer threads of the servers go on. Outlives the server. Null: nobody asks.
+    transport::ServiceWatchdog* watchdog = nullptr;
 };
 
 /// Throws std::runtime_error, saying how to fix it, for a text that is not an endpoint; for an endpoint

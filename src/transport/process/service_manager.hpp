@@ -1,5 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <vector>
+
+#include "common/clock.hpp"
 
 namespace axon::transport {
 
@@ -10,5 +18,40 @@ namespace axon::transport {
 /// For the mains of daemons. Does not block for longer than it takes the service manager to read. A socket
 /// that cannot be reached is logged as a warning, and the program goes on.
 void tellServiceManagerReady();
+
+/// The watchdog of the service manager: tells it again and again that the program does its work. It kills
+/// and restarts a program that has not told it so for the whole period (WatchdogSec= in a unit).
+///
+/// It has no thread of its own, which would go on while the others are stuck. The threads without which the
+/// program does nothing call it, and the service manager is told at every third of the period if each of them
+/// has called since.
+///
+/// Threads: any. Ownership: outlives the workers.
+class ServiceWatchdog {
+  public:
+    /// To be called on each turn of one thread, with the time at that moment. Returns when to call at the
+    /// latest. Does not block.
+    using Worker = std::function<TimePoint(TimePoint now)>;
+
+    ServiceWatchdog(Duration period, std::function<void()> tell);
+    ServiceWatchdog(const ServiceWatchdog&) = delete;
+    ServiceWatchdog& operator=(const ServiceWatchdog&) = delete;
+
+    /// As the environment says: WATCHDOG_USEC, WATCHDOG_PID and NOTIFY_SOCKET. Null where nobody watches this
+    /// process, and where the variables cannot be used, which is logged as a warning.
+    static std::unique_ptr<ServiceWatchdog> fromEnvironment();
+
+    /// One more thread without whose calls the service manager is not told.
+    Worker worker();
+
+  private:
+    TimePoint turned(std::size_t worker, TimePoint now);
+
+    const Duration pause_;
+    const std::function<void()> tell_;
+    std::mutex mutex_;
+    TimePoint next_{};          // guarded by mutex_: when it is told next
+    std::vector<bool> called_;  // guarded by mutex_: which workers have called since next_
+};
 
 }  // namespace axon::transport

@@ -6,7 +6,9 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstddef>
 #include <cstdlib>
 #include <filesystem>
@@ -16,6 +18,8 @@
 
 namespace axon::transport {
 namespace {
+
+using namespace std::chrono_literals;
 
 /// What listens as systemd does.
 class ServiceManager {
@@ -68,6 +72,126 @@ TEST(ServiceManager, ThatCannotBeReachedEndsNothing) {
     tellServiceManagerReady();
     ::unsetenv("NOTIFY_SOCKET");
     tellServiceManagerReady();
+}
+
+/// The variables of a watchdog for one test; null: not set.
+class WatchdogVariables {
+  public:
+    WatchdogVariables(const char* microseconds, const char* process) {
+        set("WATCHDOG_USEC", microseconds);
+        set("WATCHDOG_PID", process);
+    }
+    ~WatchdogVariables() {
+        set("WATCHDOG_USEC", nullptr);
+        set("WATCHDOG_PID", nullptr);
+    }
+    WatchdogVariables(const WatchdogVariables&) = delete;
+    WatchdogVariables& operator=(const WatchdogVariables&) = delete;
+
+  private:
+    static void set(const char* name, const char* value) {
+        value == nullptr ? ::unsetenv(name) : ::setenv(name, value, 1);
+    }
+};
+
+const std::string kThisProcess = std::to_string(::getpid());
+const std::string kAbstract = "@axon-watchdog-" + kThisProcess;
+
+TEST(ServiceWatchdog, OfTheEnvironmentTellsTheServiceManagerAtEachThirdOfThePeriod) {
+    const ServiceManager manager(kAbstract);
+    for (const char* process : {static_cast<const char*>(nullptr), kThisProcess.c_str()}) {
+        const WatchdogVariables variables("30000000", process);
+        const auto watchdog = ServiceWatchdog::fromEnvironment();
+        ASSERT_NE(watchdog, nullptr);
+        const auto turned = watchdog->worker();
+        EXPECT_EQ(manager.told(), "nothing");
+        const TimePoint start{1000s};
+        EXPECT_EQ(turned(start), start + 10s);
+        EXPECT_EQ(manager.told(), "WATCHDOG=1");
+        EXPECT_EQ(turned(start + 9s), start + 10s);
+        EXPECT_EQ(manager.told(), "nothing");
+        EXPECT_EQ(turned(start + 10s), start + 20s);
+        EXPECT_EQ(manager.told(), "WATCHDOG=1");
+    }
+}
+
+TEST(ServiceWatchdog, IsOfNobodyWhoIsNotWatched) {
+    const ServiceManager manager(kAbstract);
+    {
+        const WatchdogVariables variables(nullptr, nullptr);
+        EXPECT_EQ(ServiceWatchdog::fromEnvironment(), nullptr);
+    }
+    const WatchdogVariables of_the_parent("30000000", std::to_string(::getppid()).c_str());
+    EXPECT_EQ(ServiceWatchdog::fromEnvironment(), nullptr);
+}
+
+TEST(ServiceWatchdog, IsNotFedByVariablesThatMakeNoSense) {
+    const ServiceManager manager(kAbstract);
+    for (const char* microseconds : {"0", "-30000000", "29999", "30s", " 30000000", "30000000x", "1e9",
+                                     "31536000000001", "99999999999999999999999"}) {
+        const WatchdogVariables variables(microseconds, kThisProcess.c_str());
+        EXPECT_EQ(ServiceWatchdog::fromEnvironment(), nullptr) << microseconds;
+    }
+    for (const char* process : {"0", "-1", "me", "99999999999999999999999"}) {
+        const WatchdogVariables variables("30000000", process);
+        EXPECT_EQ(ServiceWatchdog::fromEnvironment(), nullptr) << process;
+    }
+    const WatchdogVariables variables("30000", kThisProcess.c_str());
+    EXPECT_NE(ServiceWatchdog::fromEnvironment(), nullptr);
+    ::unsetenv("NOTIFY_SOCKET");
+    EXPECT_EQ(ServiceWatchdog::fromEnvironment(), nullptr) << "nobody to tell";
+}
+
+TEST(ServiceWatchdog, WhoseServiceManagerDoesNotReadNeitherBlocksNorEnds) {
+    const ServiceManager manager(kAbstract);
+    const WatchdogVariables variables("3000000", nullptr);
+    const auto watchdog = ServiceWatchdog::fromEnvironment();
+    ASSERT_NE(watchdog, nullptr);
+    const auto turned = watchdog->worker();
+    TimePoint now{1000s};
+    for (int i = 0; i < 10000; ++i) now = turned(now);  // the socket's queue is full long before
+    EXPECT_EQ(now, TimePoint{11000s});
+    int told = 0;
+    while (manager.told() == "WATCHDOG=1") ++told;
+    EXPECT_GT(told, 0);
+    EXPECT_LT(told, 10000);
+    turned(now);
+    EXPECT_EQ(manager.told(), "WATCHDOG=1") << "it is told again";
+}
+
+struct Workers : ::testing::Test {
+    int told = 0;
+    ServiceWatchdog watchdog{3s, [this] { ++told; }};
+    TimePoint start{1000s};
+};
+
+TEST_F(Workers, OfWhichOneStandsStillAreNotBelieved) {
+    const auto one = watchdog.worker();
+    const auto other = watchdog.worker();
+    EXPECT_EQ(one(start), start + 1s);
+    EXPECT_EQ(told, 0);
+    other(start);
+    EXPECT_EQ(told, 1);
+    // The other one is stuck from here on.
+    for (auto now = start + 1s; now < start + 60s; now += 5ms) one(now);
+    EXPECT_EQ(told, 1);
+    other(start + 60s);
+    EXPECT_EQ(told, 2);
+}
+
+TEST_F(Workers, WhoCallWhenTheyAreToldToKeepItFed) {
+    const auto one = watchdog.worker();
+    const auto other = watchdog.worker();
+    auto first = start;
+    auto second = start + 7ms;
+    auto last = start;
+    while (last < start + 60s) {
+        const auto before = told;
+        const auto now = std::min(first, second);
+        (now == first ? first : second) = (now == first ? one : other)(now);
+        ASSERT_LE(now - last, 2s) << "of a period of 3 s";
+        if (told > before) last = now;
+    }
 }
 
 }  // namespace
