@@ -32,16 +32,6 @@ constexpr const char* kOrganisation = "Axon";
 constexpr const char* kAuthorityName = "Axon laboratory CA";
 constexpr std::size_t kSerialBytes = 16;
 
-/// What GnuTLS says of a call that only a bug or a broken machine can fail.
-void require(int code, const char* what) {
-    if (code < 0) throw std::runtime_error(std::string(what) + " failed: " + gnutls_strerror(code));
-}
-
-struct KeyFree {
-    void operator()(gnutls_x509_privkey_t it) const { gnutls_x509_privkey_deinit(it); }
-};
-using KeyPtr = std::unique_ptr<gnutls_x509_privkey_int, KeyFree>;
-
 CertificatePtr newCertificate() {
     gnutls_x509_crt_t it = nullptr;
     require(gnutls_x509_crt_init(&it), "a new certificate");
@@ -62,14 +52,6 @@ KeyPtr newKey() {
     return key;
 }
 
-/// Takes what GnuTLS has allocated. A key does not stay behind in freed memory.
-std::string taken(gnutls_datum_t& from) {
-    std::string text(reinterpret_cast<const char*>(from.data), from.size);
-    gnutls_memset(from.data, 0, from.size);
-    gnutls_free(from.data);
-    return text;
-}
-
 std::string pemOf(gnutls_x509_crt_t certificate) {
     gnutls_datum_t out{};
     require(gnutls_x509_crt_export2(certificate, GNUTLS_X509_FMT_PEM, &out), "writing a certificate");
@@ -83,17 +65,7 @@ std::string pemOf(gnutls_x509_privkey_t key) {
     return taken(out);
 }
 
-using KeyId = std::array<unsigned char, 32>;
-
-KeyId idOf(gnutls_x509_crt_t certificate) {
-    KeyId id{};
-    auto size = id.size();
-    require(gnutls_x509_crt_get_key_id(certificate, GNUTLS_KEYID_USE_SHA256, id.data(), &size),
-            "the id of a key");
-    return id;
-}
-
-KeyId idOf(gnutls_x509_privkey_t key) {
+KeyId idOfKey(gnutls_x509_privkey_t key) {
     KeyId id{};
     auto size = id.size();
     require(gnutls_x509_privkey_get_key_id(key, GNUTLS_KEYID_USE_SHA256, id.data(), &size),
@@ -209,7 +181,43 @@ std::vector<std::string> alternativeNames(gnutls_x509_crt_t certificate) {
 
 constexpr const char* kAnew = "axon certs init --force, then issue all certificates again";
 
+std::string serialOf(gnutls_x509_crt_t certificate) {
+    std::array<char, 64> bytes{};
+    auto size = bytes.size();
+    if (gnutls_x509_crt_get_serial(certificate, bytes.data(), &size) < 0) return {};
+    return hexOf(std::string_view(bytes.data(), size));
+}
+
 }  // namespace
+
+void require(int code, const char* what) {
+    if (code < 0) throw std::runtime_error(std::string(what) + " failed: " + gnutls_strerror(code));
+}
+
+std::string taken(gnutls_datum_t& from) {
+    std::string text(reinterpret_cast<const char*>(from.data), from.size);
+    gnutls_memset(from.data, 0, from.size);
+    gnutls_free(from.data);
+    return text;
+}
+
+KeyId idOf(gnutls_x509_crt_t certificate) {
+    KeyId id{};
+    auto size = id.size();
+    require(gnutls_x509_crt_get_key_id(certificate, GNUTLS_KEYID_USE_SHA256, id.data(), &size),
+            "the id of a key");
+    return id;
+}
+
+std::string hexOf(std::string_view bytes) {
+    constexpr std::string_view kDigits = "0123456789abcdef";
+    std::string text;
+    for (const unsigned char c : bytes) {
+        text += kDigits[c >> 4U];
+        text += kDigits[c & 0xFU];
+    }
+    return text;
+}
 
 gnutls_datum_t datum(std::string_view text) {
     return {reinterpret_cast<unsigned char*>(const_cast<char*>(text.data())),
@@ -220,6 +228,7 @@ Certificate contentOf(gnutls_x509_crt_t certificate) {
     Certificate it;
     it.name = nameByOid(certificate, GNUTLS_OID_X520_COMMON_NAME);
     it.unit = nameByOid(certificate, GNUTLS_OID_X520_ORGANIZATIONAL_UNIT_NAME);
+    it.serial = serialOf(certificate);
     it.organisation = nameByOid(certificate, GNUTLS_OID_X520_ORGANIZATION_NAME);
     it.issuer = nameByOid(certificate, GNUTLS_OID_X520_COMMON_NAME, true);
     it.names = alternativeNames(certificate);
@@ -352,9 +361,8 @@ Issued makeAuthority(WallTime now) {
     return sign(it.get(), key.get(), it.get(), key.get());
 }
 
-Issued issue(const Issued& authority, const Request& request, WallTime now) {
-    check(request);
-    const auto all = parsed(authority.certificate, "the CA's certificate");
+Signer signerOf(const Issued& authority, WallTime now) {
+    auto all = parsed(authority.certificate, "the CA's certificate");
     auto* const issuer = all.front().get();
     const auto its = contentOf(issuer);
     if (!its.authority)
@@ -364,16 +372,22 @@ Issued issue(const Issued& authority, const Request& request, WallTime now) {
     if (validity(its, now) == Validity::NotYetValid)
         throw Unusable("the CA is valid from " + day(its.from) + " on, and today is " + day(now),
                        "set this machine's clock");
-    const auto issuers_key = emptyKey();
+    auto issuers_key = emptyKey();
     const auto bytes = datum(authority.key);
     if (gnutls_x509_privkey_import2(issuers_key.get(), &bytes, GNUTLS_X509_FMT_PEM, nullptr,
                                     GNUTLS_PKCS_PLAIN) < 0)
         throw Unusable("the CA's key is no private key in PEM form (-----BEGIN PRIVATE KEY-----)",
                        "restore ca.key.pem from where you keep a copy, or " + std::string(kAnew));
-    if (idOf(issuer) != idOf(issuers_key.get()))
+    if (idOf(issuer) != idOfKey(issuers_key.get()))
         throw Unusable("the CA's key is not the one of its certificate",
                        "restore ca.key.pem from where you keep a copy, or " + std::string(kAnew));
+    return {std::move(all.front()), std::move(issuers_key)};
+}
 
+Issued issue(const Issued& authority, const Request& request, WallTime now) {
+    check(request);
+    const auto signer = signerOf(authority, now);
+    const auto its = contentOf(signer.certificate.get());
     const auto key = newKey();
     const auto it = draft(key.get(), request.names.front(), now - kBackdated,
                           std::min<WallTime>(now + request.valid, its.until));
@@ -394,7 +408,7 @@ Issued issue(const Issued& authority, const Request& request, WallTime now) {
                     "the names of a server");
         }
     }
-    return sign(it.get(), key.get(), issuer, issuers_key.get());
+    return sign(it.get(), key.get(), signer.certificate.get(), signer.key.get());
 }
 
 std::vector<Certificate> readCertificates(std::string_view pem, const std::string& file) {

@@ -77,6 +77,7 @@ struct Certificate {
     std::string issuer;              ///< CN of who signed it
     std::vector<std::string> names;  ///< DNS names and IP addresses
     bool authority = false;
+    std::string serial;  ///< hexadecimal
     WallTime from{};
     WallTime until{};
 };

@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
+#include <sstream>
 #include <system_error>
 #include <utility>
 
@@ -24,6 +25,8 @@ constexpr std::size_t kFileMax = 1024 * 1024;
 constexpr const char* kAuthorityFile = "ca.cert.pem";
 constexpr const char* kAuthorityKey = "ca.key.pem";
 constexpr const char* kCertificateEnd = ".cert.pem";
+constexpr const char* kIssuedFile = "issued.txt";
+constexpr const char* kListFile = "revoked.crl.pem";
 
 std::string because() {
     return std::generic_category().message(errno);
@@ -35,6 +38,7 @@ struct NewFile {
     mode_t mode;
 };
 
+constexpr std::chrono::days kListLongest{3650};
 constexpr const char* kWritable = "name a folder that you may write to: --folder DIR";
 
 /// Beside its place, so that a file is replaced in one step or not at all.
@@ -145,25 +149,112 @@ Written Folder::init(WallTime now, bool force) const {
     write(files, force,
           "use the CA that is there (axon certs issue), or make another folder (--folder DIR); --force makes "
           "a new CA, and every certificate of the old one becomes void");
+    // They are about certificates of the old CA.
+    for (const auto* file : {kIssuedFile, kListFile}) ::unlink((path_ / file).c_str());
     return {{files[1].path, files[0].path}, readCertificates(made.certificate, kAuthorityFile).front()};
 }
 
 Written Folder::issue(const Request& request, WallTime now, bool force) const {
     check(request);
+    const auto issued = certificates::issue(authority(), request, now);
+    const auto stem = fileStem(request);
+    const std::vector<NewFile> files{{path_ / (stem + ".key.pem"), issued.key, 0600},
+                                     {path_ / (stem + kCertificateEnd), issued.certificate, 0644},
+                                     {path_ / (stem + ".cfg"), configuration(request, stem, path_), 0644}};
+    const auto its = readCertificates(issued.certificate, stem).front();
+    const auto before = issuedSoFar();
+    write(files, force, "--force replaces it; the certificate that is there stays valid wherever it is used");
+    std::string index;
+    const auto note = [&](const std::string& serial, WallTime until, const std::string& name) {
+        index += serial + " " + std::to_string(until.time_since_epoch().count()) + " " + name + "\n";
+    };
+    for (const auto& one : before)
+        if (one.until > now) note(one.serial, one.until, one.stem);
+    note(its.serial, its.until, stem);
+    write({{path_ / kIssuedFile, index, 0644}}, true, {});
+    return {{files[1].path, files[0].path, files[2].path}, its};
+}
+
+Issued Folder::authority() const {
     const auto folder = " --folder " + path_.string();
     std::error_code error;
     const bool missing = !fs::exists(path_ / kAuthorityFile, error) && !error;
     const std::string fix = missing ? "axon certs init" + folder + " makes one"
                                     : "run this as the user who made the CA, or name another folder";
-    const Issued authority{readFile(path_ / kAuthorityFile, fix), readFile(path_ / kAuthorityKey, fix)};
-    const auto issued = certificates::issue(authority, request, now);
-    const auto stem = fileStem(request);
-    const std::vector<NewFile> files{{path_ / (stem + ".key.pem"), issued.key, 0600},
-                                     {path_ / (stem + kCertificateEnd), issued.certificate, 0644},
-                                     {path_ / (stem + ".cfg"), configuration(request, stem, path_), 0644}};
-    write(files, force, "--force replaces it; the certificate that is there stays valid wherever it is used");
-    return {{files[1].path, files[0].path, files[2].path},
-            readCertificates(issued.certificate, stem).front()};
+    return {readFile(path_ / kAuthorityFile, fix), readFile(path_ / kAuthorityKey, fix)};
+}
+
+std::vector<Folder::Entry> Folder::issuedSoFar() const {
+    std::error_code error;
+    const auto file = path_ / kIssuedFile;
+    std::vector<Entry> all;
+    if (!fs::exists(file, error) && !error) return all;
+    std::istringstream lines(readFile(file, "run this as the user who made the CA"));
+    for (std::string line; std::getline(lines, line);) {
+        std::istringstream words(line);
+        Entry one;
+        std::int64_t until = 0;
+        words >> one.serial >> until >> one.stem;
+        if (!words || one.serial.size() % 2 != 0 ||
+            one.serial.find_first_not_of("0123456789abcdef") != std::string::npos)
+            throw Unusable(file.string() + ": '" + line + "' is no line of a certificate that was issued",
+                           "restore the file from a copy, or delete it: then only certificates whose files "
+                           "are there can be revoked");
+        one.until = WallTime(std::chrono::seconds{until});
+        all.push_back(std::move(one));
+    }
+    return all;
+}
+
+std::optional<RevocationList> Folder::revocationList() const {
+    std::error_code error;
+    const auto file = path_ / kListFile;
+    if (!fs::exists(file, error) && !error) return std::nullopt;
+    const std::string fix = "run this as the user who made the CA, or name another folder";
+    return readRevocationList(readFile(file, fix), readFile(path_ / kAuthorityFile, fix), file.string());
+}
+
+Revoked Folder::revoke(const std::vector<std::string>& names, std::optional<std::chrono::days> valid,
+                       WallTime now) const {
+    const auto its_authority = authority();
+    if (valid && (*valid < std::chrono::days{1} || *valid > kListLongest))
+        throw Unusable("expected a validity of 1 to " + std::to_string(kListLongest.count()) + " days",
+                       "leave --days out, and the list is valid as long as the CA");
+    auto serials = revocationList().value_or(RevocationList{}).serials;
+    const auto before = serials.size();
+    for (const auto& name : names) {
+        std::set<std::string> its;
+        const bool is_file = name.find('/') != std::string::npos || name.ends_with(".pem");
+        const auto file = is_file ? fs::path(name) : path_ / (name + kCertificateEnd);
+        std::error_code error;
+        if (is_file || fs::exists(file, error)) {
+            const auto text = readFile(file, "name a file that you may read");
+            const auto one = readCertificates(text, file.string()).front();
+            if (one.authority)
+                throw Unusable(file.string() + " is the certificate of a CA",
+                               "axon certs init --force makes a new CA, and every certificate of the old one "
+                               "becomes void");
+            checkSignedBy(text, its_authority.certificate, file.string());
+            if (is_file || one.until > now) its.insert(one.serial);
+        }
+        if (!is_file)
+            for (const auto& one : issuedSoFar())
+                if (one.stem == name && one.until > now) its.insert(one.serial);
+        if (its.empty())
+            throw Unusable("no certificate that is still valid was issued as '" + name + "'",
+                           "name one as axon certs show does, without .cert.pem, such as client-client1, or "
+                           "the file of a certificate");
+        const auto known = serials.size();
+        serials.merge(its);
+        if (serials.size() == known)
+            throw Unusable("'" + name + "' is revoked already", "if a server still accepts it: copy " +
+                                                                    (path_ / kListFile).string() +
+                                                                    " to that server, and restart it");
+    }
+    const auto list = makeRevocationList(its_authority, serials, valid, now);
+    write({{path_ / kListFile, list, 0644}}, true, {});
+    return {path_ / kListFile, readRevocationList(list, its_authority.certificate, kListFile).until,
+            serials.size() - before, serials.size()};
 }
 
 std::vector<fs::path> Folder::certificateFiles() const {
@@ -293,8 +384,11 @@ std::string configuration(const Request& request, const std::string& stem, const
         stem + kCertificateEnd +
         "\n"
         "IceSSL.KeyFile=" +
-        stem +
-        ".key.pem\n"
+        stem + ".key.pem\n" +
+        (isCalled(request.kind) ? "# After axon certs revoke, with its list beside the other files:\n"
+                                  "#IceSSL.RevocationCheck=1\n"
+                                  "#IceSSL.CertificateRevocationListFiles=revoked.crl.pem\n"
+                                : "") +
         "# Both sides show a certificate of this CA, and a server's must be for the name it was called by.\n"
         "IceSSL.VerifyPeer=2\n"
         "IceSSL.CheckCertName=1\n"

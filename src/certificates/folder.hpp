@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "certificates/certificate.hpp"
+#include "certificates/revocation.hpp"
 
 namespace axon::certificates {
 
@@ -14,11 +16,21 @@ struct Written {
     Certificate certificate;
 };
 
+/// What a revocation has written.
+struct Revoked {
+    std::filesystem::path list;
+    WallTime until{};       ///< of the list
+    std::size_t added = 0;  ///< certificates
+    std::size_t in_the_list = 0;
+};
+
 /// The folder with the laboratory's CA and what it has issued:
 ///
 ///     ca.cert.pem         goes to every machine
 ///     ca.key.pem  0600    stays here: whoever has it can be anybody
 ///     KIND-NAME.cert.pem, KIND-NAME.key.pem (0600), KIND-NAME.cfg
+///     issued.txt          each certificate that was issued: serial number, last second, KIND-NAME
+///     revoked.crl.pem     the revocation list, once there is one; goes to every server
 ///
 /// Threads: one. Failure: Unusable, with the fix; what was there before is then still there, whole. Nothing
 /// is overwritten without `force`.
@@ -29,12 +41,27 @@ class Folder {
     /// Makes the folder (0700) where there is none, and the CA.
     Written init(WallTime now, bool force) const;
     Written issue(const Request& request, WallTime now, bool force) const;
+    /// Writes the revocation list with these certificates and those that it has already; with none, the same
+    /// list with a new validity. One is named by its file, or by KIND-NAME, which is every one that was
+    /// issued so far under that name and is still valid. All or, where one cannot be revoked, none.
+    Revoked revoke(const std::vector<std::string>& names, std::optional<std::chrono::days> valid,
+                   WallTime now) const;
+    /// The revocation list of this folder; none where there is none.
+    std::optional<RevocationList> revocationList() const;
     /// The certificates in it, the CA's first.
     std::vector<std::filesystem::path> certificateFiles() const;
 
     const std::filesystem::path& path() const { return path_; }
 
   private:
+    struct Entry {
+        std::string serial;
+        WallTime until{};
+        std::string stem;
+    };
+    std::vector<Entry> issuedSoFar() const;
+    Issued authority() const;
+
     const std::filesystem::path path_;
 };
 

@@ -208,6 +208,7 @@ void PersonView::show(const Json& event) {
     if (kind == "finding") return showFinding(event);
     if (kind == "certificates") return showCertificates(event.at("certificates"));
     if (kind == "issued") return showIssued(event);
+    if (kind == "revoked") return showRevoked(event);
     if (kind == "users") return showUsers(event);
     if (kind == "user_changed") return showUserChanged(event);
     if (kind == "audit_record") return showAuditRecord(event);
@@ -477,7 +478,7 @@ void PersonView::showCertificates(const Json& list) {
                    {valuesText(one.at("names"))},
                    {textOf(one, "issuer")},
                    {textOf(one, "from")},
-                   {textOf(one, "until"), tint},
+                   {validity == "revoked" ? validity : textOf(one, "until"), tint},
                    {file.substr(file.rfind('/') + 1)}});
     }
     auto text = table.text(terminal_.colour);
@@ -550,6 +551,16 @@ void PersonView::showIssued(const Json& event) {
     say(paint("✓", Tint::Green) + " " + textOf(certificate, "name") + " (" + textOf(certificate, "kind") +
         "), valid until " + textOf(certificate, "until"));
     for (const auto& file : event.at("files")) say("  " + valueText(file));
+    say(paint("next: " + textOf(event, "next"), Tint::Dim));
+}
+
+void PersonView::showRevoked(const Json& event) {
+    say(paint("✓", Tint::Green) + fmt::format(" {} revoked now, {} in the list, which is valid until {}",
+                                              event.at("added").get<std::size_t>(),
+                                              event.at("revoked").get<std::size_t>(),
+                                              textOf(event, "until")));
+    say("  " + textOf(event, "file"));
+    for (const auto& line : event.at("lines")) say("    " + valueText(line));
     say(paint("next: " + textOf(event, "next"), Tint::Dim));
 }
 

@@ -46,6 +46,7 @@ class PersonView final : public Events {
     void showAuditRecord(const Json& record);
     void showAuditTrail(const Json& trail);
     void showIssued(const Json& event);
+    void showRevoked(const Json& event);
     void showAgent(const Json& event);
     void showHandOver(const Json& event);
     void showDrill(const Json& event);

@@ -123,6 +123,38 @@ TEST_F(Tls, TheRightCertificatesListAndStop) {
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested client1@"); }));
 }
 
+/// With the revocation list of our CA.
+server::ServerSettings revoking(server::ServerSettings its) {
+    its.ice_properties["IceSSL.RevocationCheck"] = "1";
+    its.ice_properties["IceSSL.CertificateRevocationListFiles"] = "revoked.crl.pem";
+    return its;
+}
+
+TEST_F(Tls, ARevokedCertificateIsRefusedAndAnotherOneIsNot) {
+    const auto thief = clientCertificate("thief");
+    ours.revoke({"client-thief"}, std::nullopt, now());
+    const server::Server server(revoking(settings()));
+    EXPECT_EQ(refusalOf(options(server, clientCertificate())).message, "");
+    EXPECT_NE(refusalOf(options(server, thief)).message, "");
+    EXPECT_TRUE(logged("was refused: the certificate has been revoked")) << kLog->all();
+}
+
+TEST_F(Tls, AListThatHasEndedShutsEverybodyOutAndTheLogSaysWhatToDo) {
+    ours.init(now() - std::chrono::days{41}, true);
+    ours.revoke({}, std::chrono::days{30}, now() - std::chrono::days{40});
+    const server::Server server(revoking(settings()));
+    EXPECT_NE(refusalOf(options(server, clientCertificate())).message, "");
+    EXPECT_TRUE(logged("was refused: the revocation list of this program has ended")) << kLog->all();
+}
+
+TEST_F(Tls, AListOfAnotherCaShutsEverybodyOutAndTheLogSaysWhatToDo) {
+    others.revoke({}, std::nullopt, now());
+    fs::copy_file(others.path() / "revoked.crl.pem", ours.path() / "revoked.crl.pem");
+    const server::Server server(revoking(settings()));
+    EXPECT_NE(refusalOf(options(server, clientCertificate())).message, "");
+    EXPECT_TRUE(logged("was refused: there is no revocation list of its CA here")) << kLog->all();
+}
+
 TEST_F(Tls, AnEntityThatIsNotReadyGoesByTheNameOfItsCertificate) {
     const server::Server server(settings());
     RawEntity robot(server.entityAddress(Lane::Data), kEntity, "name-of-its-application", "", "",

@@ -47,11 +47,13 @@ class TlsTest(unittest.TestCase):
         file.write_text("\n".join([(self.lab.folder / folder / f"{name}.cfg").read_text(), *more, ""]))
         return file
 
-    def start_server(self):
-        self.server = self.lab.start("server", "axon-server", "--config", self.configuration(
+    ENDPOINTS = tuple(f"{key}.Endpoints=ssl -h 127.0.0.1 -p 0"
+                      for key in ("FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal"))
+
+    def start_server(self, *more):
+        self.server = self.lab.start(f"server-{len(self.lab.processes)}", "axon-server", "--config", self.configuration(
             "server-localhost",
-            *[f"{key}.Endpoints=ssl -h 127.0.0.1 -p 0"
-              for key in ("FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")]))
+            *self.ENDPOINTS, *more))
         ready = addresses(self.server.wait_for("ready "))
         self.at = {name: address.replace("127.0.0.1", "localhost") for name, address in ready.items()}
         self.assertTrue(self.at["client"].startswith("ssl://"), ready)
@@ -110,6 +112,39 @@ class TlsTest(unittest.TestCase):
         self.assertEqual(status, 1, f"{lines} {errors}")
         self.assertIn("see the server's log", str(lines) + errors)
         wait_until(lambda: "the certificate is of another CA" in self.server.text(), "the server's log has it")
+
+    def restart_server(self, *more):
+        self.assertEqual(self.server.end(), 0)
+        self.start_server(*more)
+
+    REVOCATION = ("IceSSL.RevocationCheck=1", "IceSSL.CertificateRevocationListFiles=revoked.crl.pem")
+
+    def client(self, name):
+        self.use(self.configuration(f"client-{name}", f"Axon.Server={self.at['client']}"))
+        return self.lab.axon("ls")
+
+    def test_a_revoked_client_is_refused_with_the_reason_in_the_log_and_the_others_go_on(self):
+        self.certs("issue", "--client", "thief")
+        self.certs("revoke", "--client", "thief")
+        self.assertEqual(self.client("thief")[0], 0, "a server without the list knows nothing of it")
+        self.restart_server(*self.REVOCATION)
+        status, lines, errors = self.client("thief")
+        self.assertEqual(status, 1, f"{lines} {errors}")
+        self.assertIn("see the server's log", str(lines) + errors)
+        wait_until(lambda: "revoked" in self.server.text(), "the server's log has the reason")
+        status, lines, errors = self.client("client1")
+        self.assertEqual(status, 0, f"{lines} {errors}\n{self.server.text()}")
+        self.start_entity("entity-Greeter")
+        self.lab.wait_for_entity("Greeter")
+        self.certs("issue", "--client", "thief", "--force")
+        self.assertEqual(self.client("thief")[0], 0, "a certificate that was issued afterwards is accepted")
+
+    def test_a_server_without_its_list_does_not_start(self):
+        self.assertEqual(self.server.end(), 0)
+        server = self.lab.start("listless", "axon-server", "--config", self.configuration(
+            "server-localhost", *self.ENDPOINTS, *self.REVOCATION))
+        self.assertEqual(server.child.wait(20), 2, server.text())
+        self.assertIn("revoked.crl.pem", server.text())
 
     def test_who_has_no_certificate_is_told_how_to_get_one(self):
         self.lab.env.pop("AXON_CONFIG")

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <chrono>
+#include <optional>
+#include <utility>
 
 #include "certificates/folder.hpp"
 #include "cli/holding.hpp"
@@ -18,6 +20,21 @@ WallTime now() {
 
 std::vector<std::string> namesOf(const Session& session) {
     return session.args.value("name", std::vector<std::string>{});
+}
+
+/// The option of the kind of certificate; the number of them that were given, too.
+std::pair<int, Kind> kindIn(const Session& session) {
+    std::pair<int, Kind> found{0, Kind::Client};
+    for (const auto kind : kKinds)
+        if (session.args.value(certificates::toString(kind), false)) found = {found.first + 1, kind};
+    return found;
+}
+
+std::string kindOptions() {
+    std::string all;
+    for (const auto kind : kKinds)
+        all += (all.empty() ? "--" : ", --") + std::string(certificates::toString(kind));
+    return all;
 }
 
 const char* toString(Validity validity) {
@@ -67,20 +84,39 @@ int init(Session& session, const Folder& folder) {
 
 int issue(Session& session, const Folder& folder) {
     Request request;
-    int kinds = 0;
-    std::string expected;
-    for (const auto kind : kKinds) {
-        const std::string option = certificates::toString(kind);
-        expected += (expected.empty() ? "--" : ", --") + option;
-        if (!session.args.value(option, false)) continue;
-        ++kinds;
-        request.kind = kind;
-    }
-    if (kinds != 1) return misused(session, "expected one of " + expected);
+    const auto [kinds, kind] = kindIn(session);
+    if (kinds != 1) return misused(session, "expected one of " + kindOptions());
+    request.kind = kind;
     request.names = namesOf(session);
     request.valid = std::chrono::days{session.args.value("days", 365)};
     const auto written = folder.issue(request, now(), session.args.value("force", false));
     tellWritten(session, written, "the last file is the configuration that uses it");
+    return kDone;
+}
+
+int revoke(Session& session, const Folder& folder) {
+    const auto [kinds, kind] = kindIn(session);
+    if (kinds > 1) return misused(session, "expected one of " + kindOptions() + ", or none");
+    auto names = namesOf(session);
+    if (kinds == 1 && names.empty())
+        return misused(session, std::string("expected a name after --") + certificates::toString(kind));
+    if (kinds == 1)
+        for (auto& name : names) name = fileStem({kind, {name}});
+    std::optional<std::chrono::days> valid;
+    if (session.args.contains("days")) valid = std::chrono::days{session.args.at("days").get<int>()};
+    const auto done = folder.revoke(names, valid, now());
+    session.events.emit(
+        {{"event", "revoked"},
+         {"added", done.added},
+         {"revoked", done.in_the_list},
+         {"file", done.list.string()},
+         {"until", day(done.until)},
+         {"lines",
+          {"IceSSL.RevocationCheck=1",
+           "IceSSL.CertificateRevocationListFiles=" + done.list.filename().string()}},
+         {"next",
+          "copy the list to each server and router, beside its certificate, give its configuration "
+          "these two lines, and restart it; a program reads the list when it starts"}});
     return kDone;
 }
 
@@ -104,12 +140,19 @@ int show(Session& session, const fs::path& its_folder) {
         for (const auto& file : Folder(its_folder).certificateFiles()) add(file);
     }
     const auto at = now();
-    for (const auto& [certificate, file] : all) list.push_back(toJson(certificate, file, at));
+    const auto revoked = its_folder.empty() ? std::nullopt : Folder(its_folder).revocationList();
+    const auto isRevoked = [&](const Certificate& one) {
+        return revoked && revoked->serials.contains(one.serial);
+    };
+    for (const auto& [certificate, file] : all) {
+        list.push_back(toJson(certificate, file, at));
+        if (isRevoked(certificate)) list.back()["validity"] = "revoked";
+    }
     session.events.emit({{"event", "certificates"}, {"certificates", list}});
     int exit = kDone;
     for (const auto& [certificate, file] : all) {
         const auto state = validity(certificate, at);
-        if (state == Validity::Valid) continue;
+        if (state == Validity::Valid || isRevoked(certificate)) continue;
         const bool soon = state == Validity::ExpiresSoon;
         if (!soon) exit = kRefused;
         const auto when = state == Validity::NotYetValid ? "is valid from " + day(certificate.from) + " on"
@@ -122,6 +165,19 @@ int show(Session& session, const fs::path& its_folder) {
              {"message", file.filename().string() + " " + when},
              {"fix", state == Validity::NotYetValid ? "set the clock of this machine" : fixOf(certificate)}});
     }
+    if (revoked && validity(*revoked, at) != Validity::Valid) {
+        const bool soon = validity(*revoked, at) == Validity::ExpiresSoon;
+        if (!soon) exit = kRefused;
+        session.events.emit(
+            {{"event", "finding"},
+             {"level", soon ? "warn" : "bad"},
+             {"name", "revocation list"},
+             {"message", std::string(soon ? "ends on " : "ended on ") + day(revoked->until) +
+                             "; servers that use it refuse everybody from then on"},
+             {"fix",
+              "axon certs revoke without a name, then copy revoked.crl.pem to these servers and restart "
+              "them"}});
+    }
     return exit;
 }
 
@@ -131,6 +187,7 @@ int certs(Session& session) {
         const fs::path named = session.args.value("folder", std::string());
         const auto folder = named.empty() ? defaultFolder() : named;
         if (action == "show") return show(session, folder);
+        if (action == "revoke") return revoke(session, Folder(folder));
         return action == "init" ? init(session, Folder(folder)) : issue(session, Folder(folder));
     } catch (const Unusable& unusable) {
         session.events.emit(usageEvent(unusable.what(), unusable.fix()));
@@ -155,12 +212,20 @@ extern const Verb kCerts{
     "  axon certs issue --registry lab.example               for IceGrid, which starts these programs\n"
     "  axon certs issue --entity PeopleBot                   the name in its basic profile\n"
     "  axon certs issue --client client1                     the name in users.cfg\n"
+    "  axon certs revoke --client client1                    no longer valid, where servers use the list\n"
+    "  axon certs revoke                                     the same list, valid for longer\n"
     "  axon certs show                                       list them, and when they expire\n"
     "docs/reference/tls.md says how they are used.\n",
     Runs::Local,
-    {{"action", Takes::Choice, true, false, "init, issue or show", {"init", "issue", "show"}},
+    {{"action",
+      Takes::Choice,
+      true,
+      false,
+      "init, issue, revoke or show",
+      {"init", "issue", "revoke", "show"}},
      {"name", Takes::File, false, true,
-      "issue: the name, and the names and addresses by which a server is called; show: files"}},
+      "issue: the name, and the names and addresses by which a server is called; revoke: names "
+      "after the option of their kind, or KIND-NAME, or files; show: files"}},
     {{"folder", Takes::File, "Folder of the CA (default ~/.config/axon/certs)"},
      {"server", Takes::Nothing, "For axon-server"},
      {"front-end", Takes::Nothing, "For one of several front-end servers: its name and its hosts"},
@@ -170,7 +235,7 @@ extern const Verb kCerts{
      {"router", Takes::Nothing, "For glacier2router"},
      {"entity", Takes::Nothing, "For the Entity Manager of the entity of this name"},
      {"client", Takes::Nothing, "For the user of this name"},
-     {"days", Takes::Count, "Days until it expires (default 365)"},
+     {"days", Takes::Count, "Days until it expires (default 365; revoke: as long as the CA)"},
      {"force", Takes::Nothing, "Replace existing files"}},
     certs};
 

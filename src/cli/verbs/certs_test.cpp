@@ -101,3 +101,68 @@ TEST_F(Certs, SaysWhatIsWrongAndHowToFixIt) {
     EXPECT_EQ(axon({"show", folder + "/bad.pem"}), kUsage);
     EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("PEM"));
 }
+
+TEST_F(Certs, RevokesByKindAndName) {
+    ASSERT_EQ(axon({"init"}), kDone);
+    ASSERT_EQ(axon({"issue", "--client", "client1"}), kDone);
+    ASSERT_EQ(axon({"issue", "--entity", "Cyton Arm"}), kDone);
+    EXPECT_EQ(axon({"revoke", "--client", "client1"}), kDone);
+    const auto& event = *seen.last("revoked");
+    EXPECT_EQ(event.at("added"), 1);
+    EXPECT_EQ(event.at("file"), folder + "/lab/revoked.crl.pem");
+    EXPECT_EQ(event.at("lines").at(1), "IceSSL.CertificateRevocationListFiles=revoked.crl.pem");
+    EXPECT_EQ(axon({"revoke", "--entity", "Cyton Arm"}), kDone);
+    EXPECT_EQ(seen.last("revoked")->at("revoked"), 2);
+    EXPECT_EQ(axon({"revoke"}), kDone);
+    EXPECT_EQ(seen.last("revoked")->at("added"), 0);
+    std::ostringstream out;
+    std::ostringstream err;
+    PersonView(out, err, {}, ManualClock()).emit(*seen.last("revoked"));
+    EXPECT_THAT(out.str(), HasSubstr("0 revoked now, 2 in the list"));
+    EXPECT_THAT(out.str(), HasSubstr("IceSSL.RevocationCheck=1"));
+
+    EXPECT_EQ(axon({"show"}), kDone);
+    for (const auto& one : seen.last("certificates")->at("certificates"))
+        EXPECT_EQ(one.at("validity"), one.at("kind") == "ca" ? "valid" : "revoked");
+    PersonView(out, err, {}, ManualClock()).emit(*seen.last("certificates"));
+    EXPECT_THAT(out.str(), testing::ContainsRegex("revoked +client-client1.cert.pem"));
+    EXPECT_EQ(seen.last("finding"), nullptr);
+}
+
+TEST_F(Certs, ShowWarnsBeforeTheListEndsAndFailsAfterwards) {
+    ASSERT_EQ(axon({"init"}), kDone);
+    ASSERT_EQ(axon({"revoke", "--days", "29"}), kDone);
+    EXPECT_EQ(axon({"show"}), kDone);
+    EXPECT_EQ(seen.last("finding")->at("level"), "warn");
+    EXPECT_THAT(seen.last("finding")->at("message").get<std::string>(), HasSubstr("refuse everybody"));
+    using namespace certificates;
+    Folder(folder + "/lab")
+        .init(std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now()) -
+                  std::chrono::days{40},
+              true);
+    Folder(folder + "/lab")
+        .revoke({}, std::chrono::days{30},
+                std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now()) -
+                    std::chrono::days{40});
+    EXPECT_EQ(axon({"show"}), kRefused);
+    EXPECT_EQ(seen.last("finding")->at("level"), "bad");
+    EXPECT_THAT(seen.last("finding")->at("message").get<std::string>(), HasSubstr("ended on"));
+}
+
+TEST_F(Certs, SaysWhyNothingIsRevoked) {
+    const auto message = [this] { return seen.last("error")->at("message").get<std::string>(); };
+    EXPECT_EQ(axon({"revoke", "--client", "client1"}), kUsage);
+    EXPECT_THAT(seen.last("error")->at("fix").get<std::string>(), HasSubstr("axon certs init"));
+    ASSERT_EQ(axon({"init"}), kDone);
+    ASSERT_EQ(axon({"issue", "--client", "client1"}), kDone);
+    EXPECT_EQ(axon({"revoke", "client1"}), kUsage);
+    EXPECT_THAT(message(), HasSubstr("was issued as 'client1'"));
+    EXPECT_EQ(axon({"revoke", "--client"}), kUsage);
+    EXPECT_EQ(axon({"revoke", "--client", "--entity", "client1"}), kUsage);
+    EXPECT_EQ(axon({"revoke", folder + "/none.pem"}), kUsage);
+    EXPECT_EQ(axon({"revoke", folder + "/lab/ca.cert.pem"}), kUsage);
+    EXPECT_EQ(axon({"revoke", "client-client1", "--days", "4000"}), kUsage);
+    EXPECT_EQ(axon({"revoke", "client-client1"}), kDone);
+    EXPECT_EQ(axon({"revoke", "client-client1"}), kUsage);
+    EXPECT_THAT(message(), HasSubstr("revoked already"));
+}

@@ -55,6 +55,14 @@ struct Reason {
     const char* means;
 };
 constexpr Reason kReasons[] = {
+    {"CRL has expired",
+     "the revocation list of this program has ended (axon certs revoke without a name makes it valid again; "
+     "copy it here and restart this program)"},
+    {"CRL is not yet valid",
+     "the revocation list of this program is not yet valid (compare the clocks of the two machines)"},
+    {"unable to get certificate CRL",
+     "there is no revocation list of its CA here (IceSSL.CertificateRevocationListFiles; axon certs revoke "
+     "makes one)"},
     {"expired", "the certificate has expired (axon certs issue … --force makes a new one)"},
     {"not yet valid", "the certificate is not yet valid (compare the clocks of the two machines)"},
     {"ostname mismatch", "the certificate is for other names"},
