@@ -151,9 +151,13 @@ class Programs:
         for name in self.names("fe", "es"):
             self.do("kill", name)
 
+    def logs(self):
+        """{name of a server: what it has logged}."""
+        return {program["name"]: pathlib.Path(program["log"]).read_text(errors="replace") for program in self.status["programs"]
+                if program["name"].startswith(("fe", "es"))}
+
     def text(self):
-        return "".join(pathlib.Path(program["log"]).read_text(errors="replace") for program in self.status["programs"]
-                       if program["name"].startswith(("fe", "es")))
+        return "".join(self.logs().values())
 
 
 class Cluster(Programs):
@@ -180,12 +184,13 @@ class Cluster(Programs):
     def up(self):
         first = not (self.folder / "running.json").exists()
         self.do("up", *self.shape)
+        if first and self.lab.add_lines(self.folder):
+            self.do("down")
+            self.do("up")
         self.status = json.loads(self.do("status", "--json"))
-        if first and self.lab.front_end_lines:
-            for file in self.folder.glob("frontendserver-*.cfg"):
-                file.write_text(file.read_text() + self.lab.front_end_lines)
-            for name in self.names("fe"):
-                self.do("restart", name)
+
+    def users_files(self):
+        return [self.folder / "users.cfg"]
 
     def record(self, name):
         """Of the process of that program, for processes.strike() of deploy/cluster."""
@@ -205,12 +210,13 @@ class Laboratory:
     In the environment "cluster" (AXON_ENVIRONMENT) the server is a whole `axon-cluster`, with the options of `up` that
     AXON_CLUSTER names (such as "--grid --tls"); in the environment "machines" it is spread over machines (machines.py; `layout`
     says how). Clients and Entity Managers are told its routers, and nothing else is different for who uses this class.
+    With `servers` a cluster or machines have that many of each kind, 1 or 2.
 
     With a `speed` the virtual laboratory goes that many times faster, and everything that is started here takes the
     laboratory's time as its own (AXON_CLOCK): start_world() or start_robot() then comes first, once.
     """
 
-    def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None, speed=None, layout=None):
+    def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None, speed=None, layout=None, servers=1):
         self.speed = speed
         self.world = None
         self.environment = environment or os.environ.get("AXON_ENVIRONMENT") or "embedded"
@@ -220,8 +226,10 @@ class Laboratory:
         if self.environment == "machines":
             import machines  # which needs this module
             machines.enter()
-            self.layout = layout or machines.THREE
+            self.layout = layout or (machines.THREE if servers == 1 else machines.THREE_WITH_TWO)
+        self.servers = servers
         self.server = None
+        self.server_lines = ""  # in the configuration of each server
         self.front_end_lines = ""  # of a cluster or machines, in the configuration of each front-end server
         self.bin = pathlib.Path(programs).resolve()
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix="axon-"))
@@ -250,6 +258,12 @@ class Laboratory:
         at = fixed_ports or {}
         options = list(more)
         options += ["--global-services", self.services_folder]
+        if self.server_lines:
+            config = self.folder / "server.cfg"
+            config.write_text(self.server_lines)
+            options += ["--config", config]
+        if "--users" in more:
+            self.users = pathlib.Path(more[more.index("--users") + 1])
         for option, key in (("--client-endpoint", "client"), ("--client-signal-endpoint", "client-signal"),
                             ("--entity-endpoint", "entity"), ("--entity-signal-endpoint", "entity-signal")):
             options += [option, at.get(key, "127.0.0.1:0")]
@@ -263,7 +277,8 @@ class Laboratory:
         if self.environment == "machines":
             import machines
             self.server = self.server or machines.Machines(self, self.layout)
-        shape = shape or ("--base-port", 0, *os.environ.get("AXON_CLUSTER", "").split())
+        shape = shape or ("--base-port", 0, "--front-ends", self.servers, "--entity-servers", self.servers,
+                          *os.environ.get("AXON_CLUSTER", "").split())
         self.server = self.server or Cluster(self, shape)
         users = self.server.folder / "users.cfg"
         if more and not users.exists():
@@ -277,6 +292,51 @@ class Laboratory:
                    for what, at in program["ports"].items()}
         self.env["AXON_CONFIG"] = self.server.status["client_config"]
         return self.server
+
+    def add_lines(self, folder):
+        """Adds server_lines and front_end_lines to what `axon-cluster` has written there; whether there are any."""
+        for kind, lines in (("frontendserver", self.server_lines + self.front_end_lines), ("entityserver", self.server_lines)):
+            for file in folder.glob(f"{kind}-*.cfg"):
+                file.write_text(file.read_text() + lines)
+        return bool(self.server_lines + self.front_end_lines)
+
+    def users_files(self):
+        """Where the servers read who may log in: one file, or that of each machine."""
+        return self.server.users_files() if self.behind_routers else [self.users]
+
+    def server_logs(self):
+        """{name of a server: what it has logged}."""
+        return self.server.logs() if self.behind_routers else {"axon-server": self.server.text()}
+
+    def client_lines(self, user):
+        """The configuration of a client of a cluster or machines, without user and password; with TLS the certificate is this
+        user's, because at a front-end server nobody else can log in with it."""
+        certs = self.server.folder / "certs"
+        lines = [line for line in pathlib.Path(self.server.status["client_config"]).read_text().splitlines()
+                 if not line.startswith(("Axon.User=", "Axon.Password=", "IceSSL.DefaultDir="))]
+        if not any(line.startswith("IceSSL.") for line in lines):
+            return lines
+        if not (certs / f"client-{user}.cert.pem").exists():
+            status, _, errors = self.axon("certs", "issue", "--client", user, "--folder", str(certs))
+            if status != 0:
+                raise Failed(errors)
+        return [line.replace("client-admin.", f"client-{user}.") for line in lines] + [f"IceSSL.DefaultDir={certs}"]
+
+    def doors(self):
+        """Where clients connect without a router: the names of the front-end servers."""
+        return self.server.names("fe") if self.behind_routers else ["axon-server"]
+
+    def at_door(self, door, user):
+        """The environment variables of a client of this user that connects to that front-end server. It needs the password."""
+        if not self.behind_routers:
+            return dict(self.env, AXON_USER=user)
+        lines = [line for line in self.client_lines(user) if not line.startswith("Ice.Default.Router=")]
+        at = next(program["ports"]["data"] for program in self.server.status["programs"] if program["name"] == door)
+        protocol = "ssl://" if any(line.startswith("IceSSL.") for line in lines) else ""
+        config = self.folder / f"{user}-at-{door}.cfg"
+        config.touch(0o600)
+        config.write_text("\n".join([*lines, f"Axon.Server={protocol}{at}", ""]))
+        return dict(self.env, AXON_CONFIG=str(config), AXON_USER=user)
 
     def manager_options(self, options):
         """Where the server is, and what the test adds. A cluster tells it by a file, which holds the test's lines too."""

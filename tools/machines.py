@@ -26,6 +26,9 @@ from grid import APPLICATION, record  # noqa: E402
 NETWORK = "10.88.0"
 THREE = {f"{NETWORK}.1": "icegridregistry icestorm1 fe1 client-router", f"{NETWORK}.2": "icestorm2 es1 entity-router",
          f"{NETWORK}.3": "icegridregistry2 icestorm3"}
+# With two servers of each kind, neither of which is beside the other of its kind.
+THREE_WITH_TWO = {f"{NETWORK}.1": "icegridregistry icestorm1 fe1 client-router", f"{NETWORK}.2": "icestorm2 es1 fe2 entity-router",
+                  f"{NETWORK}.3": "icegridregistry2 icestorm3 es2"}
 SECONDS = 60
 CLONE_NEWNET = 0x40000000
 DISABLED, FORWARDING = 0, 3  # states of a switch's port
@@ -146,8 +149,8 @@ class Machines(laboratory.Programs):
         application = self.here(plan.host(configuration.REGISTRY)) / "icegrid.xml"
         application.write_text(application.read_text().replace(f'"{hosts.PROGRAMS}"', f'"{self.lab.bin}"'))
         installed, built = (configuration.Place("", programs, "").guard()[0] for programs in (hosts.PROGRAMS, self.lab.bin))
-        for file in (self.folder / "out").glob("*/frontendserver-*.cfg"):
-            file.write_text(file.read_text() + self.lab.front_end_lines)
+        for machine in self.layout:
+            self.lab.add_lines(self.here(machine))
         for file in (self.folder / "out").glob("*/glacier2*.cfg"):
             file.write_text(file.read_text().replace(str(installed), str(built)))
         users = self.folder / "users.cfg"
@@ -193,6 +196,9 @@ class Machines(laboratory.Programs):
     def here(self, machine):
         """The folder of a machine, as the others see it."""
         return self.folder / "out" / machine
+
+    def users_files(self):
+        return [self.here(machine) / "users.cfg" for machine in self.layout]
 
     def admin(self, words, registry=configuration.REGISTRY, name=None):
         """What that registry answers, or why it does not. `name`: what IceGrid calls it, where it has taken the place of another."""

@@ -36,14 +36,15 @@ entities entity   $6$axonentities$uznazChO/qGAc3XeW/25VjQZRfov5cA82.ck8kghVediNj
 
 
 class Person:
-    """Somebody at a terminal of their own; with_file: the password is in a file instead of the environment."""
+    """Somebody at a terminal of their own; with_file: the password is in a file instead of the environment; `door`: one of
+    lab.doors(), the front-end server that they connect to."""
 
-    def __init__(self, lab, name, with_file=False):
+    def __init__(self, lab, name, with_file=False, door=None):
         self.lab = lab
         self.name = name
-        folder = lab.folder / name
+        folder = lab.folder / (f"{name}-at-{door}" if door else name)
         folder.mkdir(mode=0o700)
-        self.env = dict(lab.env, XDG_RUNTIME_DIR=str(folder), AXON_USER=name)
+        self.env = dict(lab.at_door(door, name) if door else lab.env, XDG_RUNTIME_DIR=str(folder), AXON_USER=name)
         if with_file:
             file = folder / "password"
             file.write_text(f"{name}-secret\n")
