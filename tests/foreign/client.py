@@ -73,24 +73,27 @@ class Callback(FrontEndComm.ClientCallback):
 class Client:
     """One session of two lanes with a front-end server. Threads: any."""
 
-    def __init__(self, address, user="", password="", name="python@example", beats=True):
+    def __init__(self, address, user="", password="", name="python@example", beats=True, tls=None):
+        """`tls`: the properties of IceSSL with which it is spoken, as {name: value}; None: without TLS."""
         self.news = threading.Condition(threading.RLock())  # guards all that follows
         self.entities, self.statuses, self.leases, self.generations = {}, {}, {}, {}
         self.arrived = []  # (lane, header, ToClient | (code, reason) | number of entities), oldest first
         self.seq, self.closed, self.communicators = {"data": 0, "signal": 0}, threading.Event(), []
         self.hurry = threading.Event()  # the next beat does not wait
+        self.properties = {**PROPERTIES, **(tls or {})}
+        host, port = address.rsplit(":", 1)
+        self.endpoint = f"{'ssl' if tls else 'tcp'} -h {host} -p {port}"
         try:
-            self.join(address, user, password, name)
+            self.join(user, password, name)
         except Exception:
             self.destroy()
             raise
         if beats:
             threading.Thread(target=self.beat, daemon=True).start()
 
-    def join(self, address, user, password, name):
-        host, port = address.rsplit(":", 1)
+    def join(self, user, password, name):
         # docs/reference/sessions.md, "Handshake": first the data lane, then the signal lane, a communicator for each.
-        self.data, callback = self.open("data", f"tcp -h {host} -p {port}", user, password, name)
+        self.data, callback = self.open("data", self.endpoint, user, password, name)
         self.facts = self.data.setCallback(callback)
         self.signal, callback = self.open("signal", self.facts.signalEndpoint, user, password, name)
         self.signal.attachSignalLane(self.facts.token, callback)
@@ -98,7 +101,7 @@ class Client:
     def new_communicator(self):
         settings = Ice.InitializationData()
         settings.properties = Ice.createProperties()
-        for key, value in PROPERTIES.items():
+        for key, value in self.properties.items():
             settings.properties.setProperty(key, value)
         self.communicators.append(Ice.initialize(settings))
         return self.communicators[-1]
@@ -217,13 +220,19 @@ class Client:
 
     def stop(self, entity, cause=CommUtil.StopCause.Requested, until=status_pb2.StopReceipt.STANDSTILL):
         """Needs no lease. Returns the receipts up to the stage `until`, or up to the last one that can be waited for: no
-        application is linked, or the callback has returned and no standstill follows."""
+        application is linked, or the callback has returned and no standstill follows. Of several servers' receipts, which may
+        arrive twice, it returns the first of each stage."""
         head = self.head(entity, "", "signal")
         self.oneway("signal").sendStopSignal(head, cause)
-        receipts = []
-        while not receipts or not over(receipts[-1], until):
-            receipts.append(self.answer("receipt", entity, stop_id=f"{self.facts.me.id}:{int(head.seq)}"))
-        return receipts
+        return self.receipts(entity, f"{self.facts.me.id}:{int(head.seq)}", until)
+
+    def receipts(self, entity, stop_id, until=status_pb2.StopReceipt.STANDSTILL):
+        """Those of a stop, as stop() returns them."""
+        first = {}
+        while not any(over(receipt, until) for receipt in first.values()):
+            receipt = self.answer("receipt", entity, stop_id=stop_id)
+            first.setdefault(receipt.stage, receipt)
+        return list(first.values())
 
     def command(self, entity, which):
         """`which`: sendResetSignal or sendClearSignal, which need the lease. Returns the refusal, or the first receipt."""

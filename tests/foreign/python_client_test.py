@@ -5,8 +5,10 @@ pages say about lanes, leases, generations, answers, receipts and limits.
 
     /usr/bin/python3 tests/foreign/python_client_test.py --bin build/dev/bin [unittest options]
 
-Real processes: axon-server, the Entity Manager, and a robot application that counts (counter.cpp).
+Real processes: axon-server, the Entity Manager, and a robot application that counts (counter.cpp). Of several front-end servers
+the first client of a test connects to one and the next to another.
 """
+import itertools
 import pathlib
 import re
 import shutil
@@ -22,7 +24,7 @@ import uuid
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 sys.dont_write_bytecode = True
-from rig import ROOT, compile_contracts, make_laboratory  # noqa: E402
+from rig import ROOT, address_of, compile_contracts, make_laboratory  # noqa: E402
 import stalls  # noqa: E402
 from laboratory import wait_until  # noqa: E402
 
@@ -49,7 +51,7 @@ class PythonClientTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.lab = make_laboratory()
+        cls.lab = make_laboratory(environment=None)  # what AXON_ENVIRONMENT says
         cls.addClassCleanup(cls.tidy)
 
     @classmethod
@@ -60,6 +62,7 @@ class PythonClientTest(unittest.TestCase):
 
     def setUp(self):
         self.addCleanup(self.name_logs)
+        self.doors = itertools.cycle(self.lab.doors())
 
     def name_logs(self):
         result = self._outcome.result
@@ -68,7 +71,8 @@ class PythonClientTest(unittest.TestCase):
             print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
 
     def client(self, user="bob", password=None, **more):
-        client = Client(self.lab.at["client"], user, password or f"word of {user}", **more)
+        address, tls = address_of(self.lab, next(self.doors), user)
+        client = Client(address, user, password or f"word of {user}", tls=tls, **more)
         self.addCleanup(client.close)
         return client
 
@@ -142,7 +146,7 @@ class PythonClientTest(unittest.TestCase):
         lane, head, entities = other.wait(lambda lane, head, message: isinstance(message, int))
         self.assertEqual((lane, entities), ("signal", 1))
         stop_id = receipts[0].stop_id
-        stages = [holder.answer("receipt", entity, stop_id=stop_id).stage for _ in range(3)]
+        stages = [receipt.stage for receipt in holder.receipts(entity, stop_id)]
         self.assertEqual(stages, [Receipt.MANAGER, Receipt.CALLBACK_RETURNED, Receipt.STANDSTILL])
         last = list(holder.events(entity, task))[-1]
         self.assertEqual((last.state, code(last.reason)), (task_pb2.TASK_STOPPED, "STOPPED"))
@@ -310,9 +314,10 @@ class PythonClientTest(unittest.TestCase):
         holder.oneway("signal").ice_invoke("sendStopSignal", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
         holder.oneway("data").ice_invoke("sendToEntity", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
         holder.oneway("data").ice_invoke("noSuchOperation", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
+        number = holder.head(entity, "", "signal").seq  # without one, a stop that arrives over two paths is two stops
         def stop_arguments(cause):
-            """As Ice encodes them: a header with nothing but the entity, and a number for the cause."""
-            content = b"\0\0\0" + bytes([36]) + entity.encode() + b"\0" + struct.pack("<iiidd", 0, 0, 0, 0, 0) + bytes([cause])
+            """As Ice encodes them: a header with nothing but the entity and the number, and a number for the cause."""
+            content = b"\0\0\0" + bytes([36]) + entity.encode() + b"\0" + struct.pack("<iiidd", 0, 0, 0, number, 0) + bytes([cause])
             return struct.pack("<iBB", len(content) + 6, 1, 1) + content
         holder.oneway("signal").ice_invoke("sendStopSignal", Ice.OperationMode.Normal, stop_arguments(99))
         with self.assertRaises(Ice.UnknownLocalException):
@@ -350,7 +355,7 @@ class PythonClientTest(unittest.TestCase):
         head = client.head("", "STATUS")
         with self.assertRaises(Ice.ObjectNotExistException):  # over the signal lane's connection
             FrontEndComm.ClientSessionPrx.uncheckedCast(client.signal.ice_getConnection().createProxy(client.data.ice_getIdentity())).sendRequest(head, b"")
-        fresh, callback = client.open("data", f"tcp -h 127.0.0.1 -p {self.lab.at['client'].rsplit(':', 1)[1]}", "bob", "word of bob", "")
+        fresh, callback = client.open("data", client.endpoint, "bob", "word of bob", "")
         with self.assertRaises(Ice.ObjectNotExistException):
             fresh.sendRequest(head, b"")
         with self.assertRaises(CommUtil.RequestRefused) as refused:
@@ -359,6 +364,8 @@ class PythonClientTest(unittest.TestCase):
         client.oneway("data").sendRequest(client.head("", "WEATHER"), b"")
         lane, its, (number, _) = client.wait(lambda _, its, message: isinstance(message, tuple))
         self.assertEqual((lane, its.msgType, refusal_pb2.RefusalCode.Name(number)), ("data", "WEATHER", "NOT_SUPPORTED"))
+        if self.lab.behind_routers:
+            return  # where the certificate is the user's, the password is not asked for
         with self.assertRaises(CommUtil.RequestRefused) as refused:
             self.client("guest", password="wrong")
         self.assertEqual(refused.exception.code, refusal_pb2.PERMISSION_DENIED)
@@ -457,11 +464,12 @@ class PythonClientTest(unittest.TestCase):
             generations.append(holder.answer("receipt", entity, stop_id=stop_id, stage=Receipt.STANDSTILL).stop_generation)
         self.assertEqual(generations[0], generations[1], "the second is the first one again, and answered with the stage that it has")
         self.assertEqual(len(self.stops()), before + 1)
-        head.seq = 0  # none: always a new stop
-        for _ in range(2):
-            holder.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Requested)
-            generations.append(holder.answer("receipt", entity, stop_id=f"{holder.facts.me.id}:0", stage=Receipt.STANDSTILL).stop_generation)
-        self.assertEqual(len(set(generations)), 3)
+        if not self.lab.behind_routers:  # over two paths it would be a new stop twice
+            head.seq = 0  # none: always a new stop
+            for _ in range(2):
+                holder.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Requested)
+                generations.append(holder.answer("receipt", entity, stop_id=f"{holder.facts.me.id}:0", stage=Receipt.STANDSTILL).stop_generation)
+            self.assertEqual(len(set(generations)), 3)
         self.rearm(holder, entity)
 
     def test_who_beats_slowly_while_its_task_runs_is_lost(self):
@@ -482,6 +490,8 @@ class PythonClientTest(unittest.TestCase):
             self.assertRegex(page, f"{name} +{proof(b'0123456789abcdef', who, 1, 3, 7, client, path, nonce).hex()}")
 
     def test_the_direct_path_carries_messages_and_stops_and_its_end_is_not_the_client_s(self):
+        if self.lab.behind_routers:
+            self.skipTest("behind a router the Entity Manager offers no direct path")
         client = self.client("ann")
         entity = client.find("Counter")
         wait_until(lambda: client.statuses[entity].holder.id == "", "nobody holds it")
