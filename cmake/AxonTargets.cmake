@@ -81,3 +81,25 @@ function(axon_test name)
   endif()
   set_tests_properties(${name} PROPERTIES LABELS "${T_LABEL}" TIMEOUT ${T_TIMEOUT})
 endfunction()
+
+# axon_test_on_servers(NAME COMMAND PROGRAM WORD... [GRID_TLS LABEL] [MACHINES LABEL] [ENVIRONMENT VARIABLE=VALUE...]): an
+# end-to-end test again, with the programs of a cluster that IceGrid starts under TLS (NAME_on_grid_tls), and with those of
+# three machines (NAME_on_machines). The labels are trials where none is given; with the label none there is no such test.
+function(axon_test_on_servers name)
+  cmake_parse_arguments(T "" "GRID_TLS;MACHINES" "COMMAND;ENVIRONMENT" ${ARGN})
+  foreach(where GRID_TLS MACHINES)
+    if(T_${where} STREQUAL "none")
+      continue()
+    elseif(NOT T_${where})
+      set(T_${where} trials)
+    endif()
+    string(TOLOWER "${name}_on_${where}" again)
+    add_test(NAME ${again} COMMAND ${T_COMMAND} WORKING_DIRECTORY "${PROJECT_SOURCE_DIR}")
+    set(environment ${T_ENVIRONMENT} AXON_ENVIRONMENT=machines)
+    if(where STREQUAL GRID_TLS)
+      set(environment ${T_ENVIRONMENT} AXON_ENVIRONMENT=cluster "AXON_CLUSTER=--grid --tls")
+    endif()
+    set_tests_properties(${again} PROPERTIES LABELS ${T_${where}} TIMEOUT 2400 RUN_SERIAL ON ENVIRONMENT "${environment}"
+      SKIP_REGULAR_EXPRESSION "network namespaces cannot be made") # as tools/machines.py says
+  endforeach()
+endfunction()

@@ -3,7 +3,7 @@
 
 Each test here has the name of one there. every_claim_is_made_of_python_too() compares the two lists, so a claim that is added
 there is missed here. They are made over a server in the process of the test's laboratory, and again over a cluster with TLS
-(AXON_ENVIRONMENT=cluster, cluster.py).
+(AXON_ENVIRONMENT=cluster) and on several machines (AXON_ENVIRONMENT=machines, cluster.py).
 """
 import re
 import threading

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The laboratory of the tests as a cluster over TLS: Axon's programs in processes of their own, and scripted robots that are
+"""The laboratory of the tests as a cluster over TLS, of one machine or several (AXON_ENVIRONMENT): Axon's programs in processes of their own, and scripted robots that are
 robot applications in Python. It is used as that of support.py."""
+import os
 import pathlib
 import queue
+import re
 import selectors
 import shutil
 import socket
@@ -20,10 +22,10 @@ USERS = ("client1", "client2")
 
 
 class Valve:
-    """A relay to a port of loopback, which resets its connections when it is told to, and then refuses new ones."""
+    """A relay on loopback to a port, which resets its connections when it is told to, and then refuses new ones."""
 
-    def __init__(self, port):
-        self._target = ("127.0.0.1", port)
+    def __init__(self, port, host="127.0.0.1"):
+        self._target = (host, port)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = self._listening.getsockname()[1]
         self._told, self._tells = socket.socketpair()
@@ -222,8 +224,7 @@ class Cluster:
 
     def __init__(self):
         self.ports = "%d-%d" % laboratory.robot_ports()
-        self.lab = laboratory.Laboratory(BIN, environment="cluster")
-        self._configurations = {}
+        self.lab = laboratory.Laboratory(BIN)
         try:
             self._start()
             self.seen = axon.connect(**self.options(USERS[0]))
@@ -236,26 +237,28 @@ class Cluster:
         for user in USERS:
             subprocess.run([BIN / "axon-server", "--users", users, "--add-user", user, "--user-role", "admin"], input="not used\n",
                            text=True, check=True, capture_output=True)
-        cluster = self.lab.start_cluster("--users", users, shape=("--base-port", 0, "--tls"))
-        its = pathlib.Path(cluster.status["client_config"]).read_text().splitlines()
-        for user in USERS:
-            status, _, errors = self.lab.axon("certs", "issue", "--client", user, "--folder", str(cluster.folder / "certs"))
-            assert status == 0, errors
-            self._configurations[user] = "\n".join(line.replace("client-admin.", f"client-{user}.") for line in its
-                                                   if not line.startswith(("Axon.User=", "Axon.Password="))) + "\n"
+        self.lab.start_cluster("--users", users, shape=("--base-port", 0, *os.environ.get("AXON_CLUSTER", "--tls").split()))
+        self._configurations = {user: "\n".join([*self.lab.client_lines(user), ""]) for user in USERS}
 
     @property
     def door(self):
-        """The port of the client router."""
-        return int(self.lab.at["clients"].rsplit(":", 1)[1])
+        """Host and port of the client router."""
+        host, port = self.lab.at["clients"].rsplit(":", 1)
+        return host, int(port)
 
     def options(self, user, port=None):
-        """What axon.connect() is told: who logs in, and at which port."""
-        door = f"ssl -h 127.0.0.1 -p {self.door}"
+        """What axon.connect() is told: who logs in, and at which port of loopback instead of the router's own."""
+        host, router_port = self.door
+        door = f"ssl -h {host} -p {router_port}"
         text = self._configurations[user]
         assert text.count(door) == 1, text
-        file = self.lab.folder / f"{user}-{port or self.door}.cfg"
-        file.write_text(text.replace(door, f"ssl -h 127.0.0.1 -p {port}") if port else text)
+        if port:
+            text = text.replace(door, f"ssl -h 127.0.0.1 -p {port}")
+        if port and host != "127.0.0.1":  # the certificate of a router on another machine does not have this address
+            text, changed = re.subn("^IceSSL.CheckCertName=.*$", "IceSSL.CheckCertName=0", text, flags=re.MULTILINE)
+            assert changed == 1, text
+        file = self.lab.folder / f"{user}-{port or router_port}.cfg"
+        file.write_text(text)
         return {"config": file}
 
     def end(self):
@@ -281,7 +284,8 @@ class ClusterLaboratory:
 
     def behind_valve(self, name="client1@lab"):
         """The same through a relay, which cut() and open() are told to."""
-        self._valves.append(Valve(self.cluster.door))
+        host, port = self.cluster.door
+        self._valves.append(Valve(port, host))
         return dict(self.cluster.options(name.partition("@")[0], self._valves[-1].port), name=name)
 
     def must_have_processes(self, _):

@@ -13,8 +13,8 @@ from support import Laboratory, wait_until  # noqa: E402
 
 @pytest.fixture(scope="session")
 def cluster():
-    """The servers of the environment "cluster"; None in the other one, where each laboratory has its own."""
-    if os.environ.get("AXON_ENVIRONMENT") != "cluster":
+    """The servers of the environment "cluster" or "machines"; None in the other one, where each laboratory has its own."""
+    if os.environ.get("AXON_ENVIRONMENT", "embedded") == "embedded":
         yield None
         return
     from cluster import Cluster

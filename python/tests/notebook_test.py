@@ -18,7 +18,7 @@ from laboratory import Laboratory  # noqa: E402
 
 
 def test_the_lesson_runs_and_draws(monkeypatch, tmp_path):
-    lab = Laboratory(BIN, application=f"lesson-{os.getpid()}", environment="embedded")
+    lab = Laboratory(BIN, application=f"lesson-{os.getpid()}")
     try:
         lab.start_server()
         robot = lab.start_robot()
@@ -26,7 +26,8 @@ def test_the_lesson_runs_and_draws(monkeypatch, tmp_path):
         lab.start_manager()
         lab.wait_for_entity()
         lab.wait_until_able()
-        monkeypatch.setenv("AXON_SERVER", lab.at["client"])
+        where = "AXON_CONFIG" if lab.behind_routers else "AXON_SERVER"
+        monkeypatch.setenv(where, lab.env[where])
         monkeypatch.setenv("PYTHONPATH", str(pathlib.Path(axon.__file__).parent.parent))
         monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
         monkeypatch.setenv("JUPYTER_RUNTIME_DIR", str(tmp_path))

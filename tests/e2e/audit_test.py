@@ -1,7 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The audit trails of a server and an Entity Manager, with real processes: what people did is there, and nothing can be
+"""The audit trails of servers and an Entity Manager, with real processes: what people did is there, and nothing can be
 changed unnoticed.
+
+Behind routers there are two servers of each kind. On one machine their trails are in one folder, and each of several machines
+has a folder of its own.
 
     python3 tests/e2e/audit_test.py --bin build/dev/bin [unittest options]
 """
@@ -14,23 +17,24 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 sys.path.insert(0, str(ROOT / "tests" / "e2e"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
-from ownership_test import USERS, Person  # noqa: E402
-
-BIN = programs()
+from laboratory import Laboratory, keep_if_failed, robot_ports, wait_until  # noqa: E402
+from ownership_test import BIN, USERS, Person  # noqa: E402
 
 
 class AuditTest(unittest.TestCase):
     def setUp(self):
-        self.lab = lab = Laboratory(BIN, application="Greeter")
+        self.lab = lab = Laboratory(BIN, application="Greeter", servers=2)
         self.addCleanup(self.tidy)
         self.people = []
         users = lab.folder / "users.cfg"
         users.write_text(USERS)
         users.chmod(0o600)
-        self.trails = lab.folder / "audit"
-        (lab.folder / "server.cfg").write_text(f"Axon.Audit.Folder={self.trails}\n")
+        self.folders = [lab.folder / "audit"]
+        if lab.environment != "machines":
+            lab.server_lines = f"Axon.Audit.Folder={self.folders[0]}\n"
         self.start_server()
+        if lab.environment == "machines":  # as `axon-cluster configure` has written it
+            self.folders = [lab.server.here(machine) / "audit" for machine in lab.layout]
         folder = lab.folder / "left"
         shutil.copytree(ROOT / "examples" / "01_hello_entity", folder)
         basic = folder / "basic.xml"
@@ -51,7 +55,7 @@ class AuditTest(unittest.TestCase):
         keep_if_failed(self, self.lab.folder)
 
     def start_server(self, at=None):
-        self.lab.start_server(at, "--users", self.lab.folder / "users.cfg", "--config", self.lab.folder / "server.cfg")
+        self.lab.start_server(at, "--users", self.lab.folder / "users.cfg")
 
     def person(self, name):
         self.people.append(Person(self.lab, name))
@@ -67,6 +71,14 @@ class AuditTest(unittest.TestCase):
         status, lines, errors = self.lab.axon("audit", "show", "--folder", str(folder), *words)
         self.assertEqual(status, 0, f"{lines} {errors}")
         return [line for line in lines if line["event"] == "audit_record"]
+
+    def of_servers(self, *words):
+        """The same of the servers of all machines."""
+        return [record for folder in self.folders for record in self.records(folder, *words)]
+
+    def trails(self):
+        """{a server: what its trail is called}."""
+        return {name: f"axon-server-{name}" if self.lab.behind_routers else name for name in self.lab.server_logs()}
 
     def verify(self, folder):
         status, lines, _ = self.lab.axon("audit", "verify", str(folder))
@@ -84,16 +96,18 @@ class AuditTest(unittest.TestCase):
         self.does(boss, "rearm", "left")
         self.does(client1, "release", "left")
 
-        wait_until(lambda: any("is free" in line["what"] for line in self.records(self.trails, "--kind", "ownership")),
+        wait_until(lambda: any("is free" in line["what"] for line in self.of_servers("--kind", "ownership")),
                    "the release is recorded")
-        kinds = {line["kind"] for line in self.records(self.trails)}
-        self.assertLessEqual({"started", "login", "session", "ownership", "command", "refusal", "stop", "rearm"}, kinds)
-        refused = self.records(self.trails, "--kind", "refusal", "--user", "stranger")
+        everything = self.of_servers()
+        self.assertLessEqual({"started", "login", "session", "ownership", "command", "refusal", "stop", "rearm"},
+                             {line["kind"] for line in everything})
+        self.assertEqual({line["trail"] for line in everything}, set(self.trails().values()), "each server has its own")
+        refused = self.of_servers("--kind", "refusal", "--user", "stranger")
         self.assertEqual([line["outcome"] for line in refused][:1], ["PERMISSION_DENIED"])
-        self.assertTrue(refused[0]["peer"].startswith("127.0.0.1:"), refused)
-        stops = self.records(self.trails, "--kind", "stop", "--user", "boss")
-        self.assertEqual(len(stops), 1, stops)
-        entity = stops[0]["entity"]
+        self.assertIn(refused[0]["peer"].rpartition(":")[0] or refused[0]["peer"], self.expected_peers(), refused)
+        entities = {line["entity"] for line in self.assert_stops_of_boss(1)}
+        self.assertEqual(len(entities), 1)
+        entity = entities.pop()
         own = self.records(self.own_trail, "--entity", entity)
         self.assertLessEqual({"ownership", "command", "stop", "rearm"}, {line["kind"] for line in own})
         self.assertTrue(any(line["what"].startswith("dispatched Wait") for line in own), own)
@@ -102,29 +116,48 @@ class AuditTest(unittest.TestCase):
         self.assertTrue(any(line["what"].startswith("dispatched Wait") for line in his), his)
         self.assertTrue(any(line["what"].startswith("granted") for line in his), his)
         self.assertEqual({line["kind"] for line in self.records(self.own_trail, "--user", "boss")}, {"stop", "rearm"})
-        everything = "".join(file.read_text() for folder in (self.trails, self.own_trail) for file in
+        everything = "".join(file.read_text() for folder in (*self.folders, self.own_trail) for file in
                              folder.glob("*.jsonl"))
         self.assertNotIn("-secret", everything, "a password is in the trail")
 
-        for folder in (self.trails, self.own_trail):
+        for folder in (*self.folders, self.own_trail):
             self.assertEqual(self.verify(folder)[0], 0)
-        # Killed, and started again: the trail goes on, with what was done at the last moment.
+        # Killed, and started again: the trails go on, with what was done at the last moment.
         self.does(boss, "stop", "left")
         self.lab.server.kill()
         self.start_server(self.lab.at)
-        wait_until(lambda: len(self.records(self.trails, "--kind", "stop", "--user", "boss")) == 2,
-                   "the stop just before the kill is there")
-        status, lines = self.verify(self.trails)
-        self.assertEqual(status, 0, lines)
-        self.assertEqual(len(self.records(self.trails, "--kind", "started")), 2)
-        file = self.trails / "axon-server.1.jsonl"
+        self.assert_stops_of_boss(2)
+        for folder in self.folders:
+            status, lines = self.verify(folder)
+            self.assertEqual(status, 0, lines)
+        started = [line["trail"] for line in self.of_servers("--kind", "started")]
+        self.assertEqual(sorted(started), sorted(2 * list(self.trails().values())))
+        # One line is changed, of the server whose trail is in the last folder.
+        name = f"{[*self.trails().values()][-1]}.1.jsonl"
+        file, = (folder / name for folder in self.folders if (folder / name).exists())
         lines = file.read_text().splitlines(keepends=True)
         lines[3] = lines[3].replace('"kind":"', '"kind":"x', 1)
         file.write_text("".join(lines))
-        status, said = self.verify(self.trails)
-        self.assertEqual(status, 1, said)
-        self.assertTrue(any(line["event"] == "finding" and line["name"].endswith("axon-server.1.jsonl:4")
-                            for line in said), said)
+        for folder in self.folders:
+            status, said = self.verify(folder)
+            self.assertEqual(status, int(folder == file.parent), said)
+            changed = [line["name"] for line in said if line["event"] == "finding" and line["name"].endswith(f"{name}:4")]
+            self.assertEqual(bool(changed), folder == file.parent, said)
+
+    def assert_stops_of_boss(self, count):
+        """So many are recorded by front-end servers; where those are other processes, entity servers that pass them on record them, too."""
+        stops = self.of_servers("--kind", "stop", "--user", "boss")
+        passed_on = [line for line in stops if line["trail"].startswith("axon-server-es")]
+        asked_for = [line for line in stops if line not in passed_on]
+        self.assertEqual(len(asked_for), count, stops)
+        self.assertEqual(bool(passed_on), self.lab.behind_routers, stops)
+        return stops
+
+    def expected_peers(self):
+        """Where somebody comes from who is refused at the door."""
+        if not self.lab.behind_routers:
+            return ["127.0.0.1"]
+        return [self.lab.at["clients"].rpartition(":")[0], "a router or the web console"]
 
 
 if __name__ == "__main__":

@@ -244,6 +244,8 @@ class CommandTest(unittest.TestCase):
         self.assertEqual(self.last("task", "run", "Workbench", "Work", "Turns=1")["results"]["Plan size"], [size])
 
     def test_the_port_of_the_entity_managers_is_no_place_to_start_a_server(self):
+        if self.lab.behind_routers:
+            self.skipTest("clients and Entity Managers know routers there, not the ports of a server")
         wrong = dict(self.lab.env, AXON_SERVER=self.lab.at["entity"])
         code, lines, _ = self.lab.axon("ls", env=wrong)
         self.assertEqual((code, lines[-1]["code"]), (3, "MALFORMED"), lines)

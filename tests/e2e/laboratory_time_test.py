@@ -27,7 +27,7 @@ class LaboratoryTimeTest(unittest.TestCase):
 
     def setUp(self):
         LaboratoryTimeTest.serial += 1
-        self.lab = Laboratory(BIN, application=f"e2e-{os.getpid()}-{LaboratoryTimeTest.serial}", speed=SPEED)
+        self.lab = Laboratory(BIN, application=f"e2e-{os.getpid()}-{LaboratoryTimeTest.serial}", speed=SPEED, servers=2)
         self.addCleanup(self.tidy)
 
     def tidy(self):
@@ -36,17 +36,21 @@ class LaboratoryTimeTest(unittest.TestCase):
 
     def start_all(self):
         self.robot = self.lab.start_robot()
-        self.server = self.lab.start_server()
+        self.lab.start_server()
         self.app = self.lab.start_application(self.robot.address)
         self.manager = self.lab.start_manager()
         self.lab.wait_for_entity()
         self.lab.wait_until_able()
 
+    def logs(self, *more):
+        """{name: text}, of the servers, the robot application, the Entity Manager and `more` processes."""
+        return {**self.lab.server_logs(), **{process.name: process.text() for process in (self.app, self.manager, *more)}}
+
     def assert_nobody_was_missed(self):
         """No watchdog has tripped, of whomever."""
-        for process in (self.server, self.app, self.manager):
+        for name, text in self.logs().items():
             for word in ("silent", "lost", "late"):
-                self.assertNotIn(word, process.text(), process.name)
+                self.assertNotIn(word, text, name)
 
     def test_two_metres_many_times_faster_and_a_pause_of_all_in_the_middle(self):
         self.start_all()
@@ -70,14 +74,14 @@ class LaboratoryTimeTest(unittest.TestCase):
         passed = after["time_s"] - before["time_s"]
         took = (after["monotonic_us"] - before["monotonic_us"]) / 1e6 - 2.5
         self.assertGreater(passed / took, 1.5, f"{passed:.1f} s of the laboratory in {took:.1f} s")
-        for process in (self.server, self.app, self.manager, client):
-            self.assertIn("AXON_CLOCK", process.text(), f"{process.name} says whose time it lives in")
+        for name, text in self.logs(client).items():
+            self.assertIn("AXON_CLOCK", text, f"{name} says whose time it lives in")
 
     def test_when_the_laboratory_dies_the_others_notice_and_go_on_by_themselves(self):
         self.start_all()
         self.robot.kill()
-        for process in (self.server, self.app, self.manager):
-            wait_until(lambda p=process: "counts as gone" in p.text(), f"{process.name} notices", 10)
+        for name in self.logs():
+            wait_until(lambda its=name: "counts as gone" in self.logs()[its], f"{name} notices", 10)
         # A watchdog that stood still would not see this.
         self.manager.child.send_signal(signal.SIGSTOP)
         try:

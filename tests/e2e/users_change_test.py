@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Users change while a server, an Entity Manager and a robot application run, as real processes.
+"""Users change while servers, an Entity Manager and a robot application run, as real processes.
+
+Behind routers there are two servers of each kind, and what is said of a user is asked at each front-end server.
 
     python3 tests/e2e/users_change_test.py --bin build/dev/bin [unittest options]
 """
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -14,19 +17,21 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 sys.path.insert(0, str(ROOT / "tests" / "e2e"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, robot_ports, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, robot_ports, stays, wait_until  # noqa: E402
 from ownership_test import BIN, USERS, Person  # noqa: E402
 
 
 class UsersTest(unittest.TestCase):
     def setUp(self):
-        self.lab = lab = Laboratory(BIN, application="Greeter")
+        self.lab = lab = Laboratory(BIN, application="Greeter", servers=2)
         self.addCleanup(self.tidy)
         self.people = []
-        self.file = lab.folder / "users.cfg"
-        self.file.write_text("# Who may log in\n" + USERS)
-        self.file.chmod(0o640)
-        lab.start_server(None, "--users", self.file)
+        file = lab.folder / "users.cfg"
+        file.write_text("# Who may log in\n" + USERS)
+        file.chmod(0o640)
+        lab.start_server(None, "--users", file)
+        self.files = lab.users_files()
+        self.file = self.files[0]  # the one that an administrator changes
         folder = lab.folder / "left"
         shutil.copytree(ROOT / "examples" / "01_hello_entity", folder)
         basic = folder / "basic.xml"
@@ -39,7 +44,9 @@ class UsersTest(unittest.TestCase):
         config.chmod(0o600)
         lab.start_manager("", "--state", folder / "state", "--config", config)
         self.guest, self.boss, self.client1 = (self.person(name) for name in ("guest", "boss", "client1"))
-        wait_until(lambda: self.entities(self.guest), "the entity is there")
+        self.guests = self.everywhere("guest")
+        for guest in (self.guest, *self.guests):
+            wait_until(lambda its=guest: self.entities(its), "the entity is there")
 
     def tidy(self):
         for person in self.people:
@@ -47,9 +54,13 @@ class UsersTest(unittest.TestCase):
         self.lab.end()
         keep_if_failed(self, self.lab.folder)
 
-    def person(self, name):
-        self.people.append(Person(self.lab, name))
+    def person(self, name, door=None):
+        self.people.append(Person(self.lab, name, door=door))
         return self.people[-1]
+
+    def everywhere(self, name):
+        """This user at each front-end server, with an agent of its own at each."""
+        return [self.person(name, door) for door in self.lab.doors()]
 
     def does(self, person, *words):
         status, lines, errors = person.axon(*words)
@@ -67,14 +78,34 @@ class UsersTest(unittest.TestCase):
         return {entity["name"]: entity for line in lines for entity in line.get("entities", ())}
 
     def users(self, *words, password=None):
-        """`axon users` as an administrator runs it on the server's machine."""
+        """`axon users` as an administrator runs it on a server's machine."""
         done = subprocess.run([BIN / "axon", "users", *words, "--file", self.file], env=self.lab.env, text=True,
                               input=password, capture_output=True, timeout=30)
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         return done.stdout
 
+    def copy(self):
+        """To the other machines, as docs/how-to/two-machines.md asks for it."""
+        for file in self.files[1:]:
+            self.replace(file, self.file.read_text())
+
+    @staticmethod
+    def replace(file, text):
+        new = file.with_name("users.cfg.new")
+        new.write_text(text)
+        new.chmod(file.stat().st_mode & 0o777)
+        new.replace(file)
+
+    def says(self, text):
+        """To all servers, wherever their file is."""
+        for file in self.files:
+            self.replace(file, text)
+
+    def logs(self):
+        return self.lab.server_logs().values()
+
     def log(self):
-        return self.lab.server.text()
+        return "".join(self.logs())
 
     def test_a_removed_user_is_out_and_the_robot_stops(self):
         self.does(self.client1, "checkout", "left")
@@ -82,63 +113,114 @@ class UsersTest(unittest.TestCase):
         self.assertFalse(self.entities(self.guest)["left"]["latched"])
         self.users("remove", "client1")
         self.assertIn("# Who may log in\n", self.file.read_text())
-        wait_until(lambda: self.entities(self.guest)["left"]["latched"], "the robot has stopped")
+        self.copy()
+        for guest in (self.guest, *self.guests):
+            wait_until(lambda its=guest: self.entities(its)["left"]["latched"], "the robot has stopped")
+            wait_until(lambda its=guest: not self.entities(its)["left"]["holder"], "the lease has ended")
         self.assertIn("the user 'client1' was removed", self.log())
-        wait_until(lambda: not self.entities(self.guest)["left"]["holder"], "the lease has ended")
         self.client1.end()
-        self.assertEqual(self.refused(self.client1, "ls"), "PERMISSION_DENIED")
+        for client1 in (self.client1, *self.everywhere("client1")):
+            self.assertEqual(self.refused(client1, "ls"), "PERMISSION_DENIED")
         # The others have not noticed anything, and somebody new may come.
         self.does(self.boss, "rearm", "left")
         self.users("add", "ann", "operator", password="ann-secret\n")
+        self.copy()
         ann = self.person("ann")
-        wait_until(lambda: ann.axon("ls")[0] == 0, "ann may log in")
+        for its in (ann, *self.everywhere("ann")):
+            wait_until(lambda its=its: its.axon("ls")[0] == 0, "ann may log in")
         self.does(ann, "checkout", "left")
+
+    def test_until_a_machine_has_the_copy_its_server_lets_a_removed_user_in(self):
+        if len(self.files) == 1:
+            self.skipTest("all servers read one file")
+        here, elsewhere = self.everywhere("client1")
+        guest_here, guest_elsewhere = self.guests
+        self.does(here, "checkout", "left")
+        self.does(here, "run", "left", "Wait", "Seconds=60", "--detach")
+        self.does(elsewhere, "ls")
+        self.users("remove", "client1")
+        for guest in (guest_here, guest_elsewhere):
+            wait_until(lambda its=guest: self.entities(its)["left"]["latched"], "the robot has stopped, as both servers say")
+        here.end()
+        self.assertEqual(self.refused(here, "ls"), "PERMISSION_DENIED")
+        self.does(self.boss, "rearm", "left")
+        # Longer than a server takes to read a file that has changed.
+        stays(lambda: elsewhere.axon("ls")[0] == 0, "the session at the other machine", 3)
+        elsewhere.end()
+        self.does(elsewhere, "ls")
+        self.copy()
+        wait_until(lambda: elsewhere.axon("ls")[0] != 0, "the session at the other machine ends, too")
+        elsewhere.end()
+        self.assertEqual(self.refused(elsewhere, "ls"), "PERMISSION_DENIED")
+        wait_until(lambda: all("users: taken" in log for log in self.logs()), "each server has taken the file")
+        prints = {re.findall("users: taken: .*fingerprint ([0-9a-f]{8})", log)[-1] for log in self.logs()}
+        self.assertEqual(len(prints), 1, prints)
+        self.assertIn(prints.pop(), self.users("list"))
 
     def test_a_file_with_an_error_changes_nothing_and_a_lower_role_does(self):
         good = self.file.read_text()
-        with self.file.open("a") as file:
-            file.write("eve king x\n")
-        wait_until(lambda: "users.cfg:7: expected the role" in self.log(), "the error is logged")
+        self.says(good + "eve king x\n")
+        wrong = f"users.cfg:{good.count(chr(10)) + 1}: expected the role"
+        wait_until(lambda: all(wrong in log for log in self.logs()), "the error is logged by each server")
         self.does(self.client1, "checkout", "left")
-        self.file.write_text(good)
+        self.says(good)
         self.users("role", "client1", "observer")
+        self.copy()
         wait_until(lambda: "the role of the user 'client1' became observer" in self.log(), "it is taken over")
-        wait_until(lambda: not self.entities(self.guest)["left"]["holder"], "the lease has ended")
+        for guest in (self.guest, *self.guests):
+            wait_until(lambda its=guest: not self.entities(its)["left"]["holder"], "the lease has ended")
+        wait_until(lambda: all("users: taken" in log for log in self.logs()), "each server has taken the file")
         self.does(self.boss, "rearm", "left")
         self.client1.end()
-        self.assertEqual(self.refused(self.client1, "checkout", "left"), "PERMISSION_DENIED")
-        self.does(self.client1, "stop", "left")
+        for client1 in (self.client1, *self.everywhere("client1")):
+            self.assertEqual(self.refused(client1, "checkout", "left"), "PERMISSION_DENIED")
+            self.does(client1, "stop", "left")
 
     def test_the_robot_of_a_removed_entity_manager_leaves(self):
         self.users("remove", "entities")
-        wait_until(lambda: not self.entities(self.guest), "the entity has left")
+        self.copy()
+        for guest in (self.guest, *self.guests):
+            wait_until(lambda its=guest: not self.entities(its), "the entity has left")
         self.assertIn("left left: the user 'entities' was removed", self.log())
 
     def test_lists_hide_an_entity_and_keep_it_from_some(self):
-        client2 = self.person("client2")
+        client2 = [self.person("client2"), *self.everywhere("client2")]
+        boss = [self.boss, *self.everywhere("boss")]
         good = self.file.read_text()
+        taken = 0
 
         def lists(text):
-            self.file.write_text(good + text)
+            nonlocal taken
+            taken += 1
+            self.says(good + text)
+            wait_until(lambda: all(log.count("users: taken") == taken for log in self.logs()), "each server has taken the lists")
 
         self.does(self.client1, "checkout", "left")
         lists("@checkout left client1\n@force left -\n@rearm left client1\n")
-        wait_until(lambda: self.log().count("users: taken") == 1, "the lists are taken over")
-        self.assertEqual(self.refused(client2, "checkout", "left"), "PERMISSION_DENIED")
-        self.assertEqual(self.refused(self.boss, "checkout", "left", "--force", "to see"), "PERMISSION_DENIED")
-        self.does(client2, "stop", "left")
-        self.assertEqual(self.refused(self.boss, "rearm", "left"), "PERMISSION_DENIED")
+        for its in client2:
+            self.assertEqual(self.refused(its, "checkout", "left"), "PERMISSION_DENIED")
+        for its in boss:
+            self.assertEqual(self.refused(its, "checkout", "left", "--force", "to see"), "PERMISSION_DENIED")
+        for its in client2:
+            self.does(its, "stop", "left")
+        for its in boss:
+            self.assertEqual(self.refused(its, "rearm", "left"), "PERMISSION_DENIED")
         self.does(self.client1, "rearm", "left")
         lists("@see left client1\n")
-        wait_until(lambda: not self.entities(client2), "it is hidden")
-        self.assertEqual(self.refused(client2, "checkout", "left"), "UNKNOWN_ENTITY")
-        self.assertIn("left", self.entities(self.client1))
+        for its in client2:
+            wait_until(lambda its=its: not self.entities(its), "it is hidden")
+            self.assertEqual(self.refused(its, "checkout", "left"), "UNKNOWN_ENTITY")
+        for its in (self.client1, *self.everywhere("client1")):
+            wait_until(lambda its=its: "left" in self.entities(its), "client1 sees it")
         self.does(self.client1, "run", "left", "Wait", "Seconds=0.1")
         # A stop of everything reaches it all the same.
-        client2.axon("stop", "--all")
-        wait_until(lambda: self.entities(self.client1)["left"]["latched"], "it has been stopped")
+        for its in client2:
+            its.axon("stop", "--all")
+            wait_until(lambda: self.entities(self.client1)["left"]["latched"], "it has been stopped")
+            self.does(self.client1, "rearm", "left")
         lists("")
-        wait_until(lambda: "left" in self.entities(client2), "it is seen again")
+        for its in client2:
+            wait_until(lambda its=its: "left" in self.entities(its), "it is seen again")
 
 
 if __name__ == "__main__":
