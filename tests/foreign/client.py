@@ -72,6 +72,7 @@ class Callback(FrontEndComm.ClientCallback):
 
 class Client:
     """One session of two lanes with a front-end server. Threads: any."""
+    properties = PROPERTIES  # of Ice
 
     def __init__(self, address, user="", password="", name="python@example", beats=True, tls=None):
         """`tls`: the properties of IceSSL with which it is spoken, as {name: value}; None: without TLS."""
