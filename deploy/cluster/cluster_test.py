@@ -146,6 +146,7 @@ class Configuration(unittest.TestCase):
         both = "OU=front-end,O=Axon;OU=entity-server,O=Axon"
         for file, key, expected in (
                 ("icestorm.cfg", "IceSSL.TrustOnly.Server", both), ("icestorm.cfg", "IceSSL.TrustOnly.Client", both),
+                ("icestorm.cfg", "Ice.Override.ConnectTimeout", "10000"),
                 ("glacier2clients.cfg", "IceSSL.TrustOnly.Server.Glacier2.Server", "OU=front-end,O=Axon"),
                 ("glacier2clients.cfg", "IceSSL.TrustOnly.Client", "OU=front-end,O=Axon"),
                 ("glacier2entities.cfg", "IceSSL.TrustOnly.Client", "OU=entity-server,O=Axon")):
@@ -216,6 +217,7 @@ class OfIceGrid(unittest.TestCase):
             self.assertEqual(configuration.read_property(self.files[file], "IceSSL.TrustOnly"), "OU=registry,O=Axon")
             self.assertEqual(configuration.read_property(self.files[file], "IceSSL.VerifyPeer"), "2")
             self.assertEqual(configuration.read_property(self.files[file], "IceSSL.CertFile"), "registry-127.0.0.1.cert.pem")
+            self.assertEqual(configuration.read_property(self.files[file], "Ice.Override.ConnectTimeout"), "10000")
         self.assertEqual(set(configuration.certificates(self.plan)), {"icegridregistry", "icegridnode"})
 
     def test_servers_may_reach_any_replica_of_icestorm_and_replicas_reach_each_other(self):

@@ -445,13 +445,20 @@ def only(*kinds):
     return ";".join(f"OU={kind},O=Axon" for kind in kinds)
 
 
+HALF_OPEN_S = 10  # as at the servers (docs/reference/tls.md)
+HALF_OPEN = f"""\
+# Milliseconds after which a connection is closed whose TLS handshake does not go on:
+Ice.Override.ConnectTimeout={1000 * HALF_OPEN_S}
+"""
+
+
 def storm_tls(plan, name):
     servers = only("front-end", "entity-server", *["storm"] * bool(plan.grid))
     return f"""\
 {tls(plan, certificate_of(plan, name))}# Only servers{" and replicas" if plan.grid else ""} may publish and subscribe, and only to servers anything is delivered:
 IceSSL.TrustOnly.Server={servers}
 IceSSL.TrustOnly.Client={servers}
-"""
+{HALF_OPEN}"""
 
 
 def router_tls(plan, proxies, name):
@@ -520,7 +527,7 @@ def grid_links(plan, program):
 Ice.Default.Locator={GRID_INSTANCE}/Locator:{registries}
 # Whoever reaches a node can have it start any program. So IceGrid speaks TLS to IceGrid only, also within one machine.
 {tls(plan, certificate_of(plan, program))}IceSSL.TrustOnly={only("registry")}
-"""
+{HALF_OPEN}"""
 
 
 REPLICA_OF_REGISTRY = f"""\

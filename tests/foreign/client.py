@@ -82,7 +82,7 @@ class Client:
         self.seq, self.closed, self.communicators = {"data": 0, "signal": 0}, threading.Event(), []
         self.hurry = threading.Event()  # the next beat does not wait
         self.properties = {**PROPERTIES, **(tls or {})}
-        host, port = address.rsplit(":", 1)
+        host, _, port = address.rpartition(":")
         self.endpoint = f"{'ssl' if tls else 'tcp'} -h {host} -p {port}"
         try:
             self.join(user, password, name)

@@ -4,12 +4,16 @@
 
     /usr/bin/python3 tests/hostile/abuse.py --bin build/dev/bin --cases 300
 
-Starts servers, a router, Entity Managers and robot applications of its own on loopback, with users, TLS and audit trails. An honest
-client holds two robots and asks them for their status throughout. Each case is one abuse of one port: it must be refused (by an
-answer that says so, or by the end of the connection), and the audit trail must have a record of it, by the address it came from. What
+Starts servers, a router, Entity Managers and robot applications of its own on loopback, with users, TLS and audit trails; beside
+them a whole cluster, as `axon-cluster up --grid --tls` does, and the gateway by which the server has the cluster's robot, too. An
+honest client of the server holds two robots and asks them for their status throughout, and one behind the cluster's routers holds the
+robot there. Each case is one abuse of one port: it must be refused (by an
+answer that says so, or by the end of the connection), and the audit trail must have a record of it, by the address it came from,
+where the program of the port has a trail. What
 servers tell of many connections together (docs/reference/audit.md) is counted: the records must account for every case. Every kind of
-record must also be in the log. At the end all programs must run, the honest client must have lost nothing, and the robots must be in
-the state that they were in.
+record must also be in the log. After all ports, --half-open TLS connections are held open at some of them, which must not disturb the
+honest clients either. At the end all programs must run, the honest clients must have lost nothing, and the robots must be in the state
+that they were in.
 Exit status: 1 if a case failed, with what it was and the seed that repeats it; 2 if it could not be run.
 """
 import argparse
@@ -44,8 +48,12 @@ parser.add_argument("--kinds", metavar="NAME,…", help="only these kinds of abu
 parser.add_argument("--seed", type=int, default=1, help="of the variations (default: 1)")
 parser.add_argument("--quick", action="store_true", help="without what waits for the servers' time-outs, without floods, and without a look at the logs, for which the cases must be "
                     "slow")
+parser.add_argument("--half-open", type=int, metavar="N", help="the last step: N half-open TLS connections (default: 1000; with --quick, --ports or --kinds none); "
+                    "with --cases 0 the only one")
 parser.add_argument("--json", metavar="FILE", help="write the figures to this file")
 arguments = parser.parse_args()
+if arguments.half_open is None:
+    arguments.half_open = 0 if arguments.quick or arguments.ports or arguments.kinds else 1000
 from rig import BIN, ROOT, USERS, compile_contracts  # noqa: E402
 from laboratory import Failed, Laboratory, addresses, wait_until  # noqa: E402
 
@@ -57,9 +65,11 @@ from axon import link_pb2, messages_pb2  # noqa: E402
 from client import Client  # noqa: E402
 from direct_path import CLAIM, CLIENT, KEPT, REFUSAL, frame, proof  # noqa: E402
 import ice_wire as ice  # noqa: E402
+from deployed import Deployed, Misconfigured, RoutedClient, Unready, missing_programs  # noqa: E402
 from ice_wire import Ended, Silent, WebSocket, Wire  # noqa: E402
 
 CONTRACT = {ice.CONTRACT: str(CommUtil.ContractNumber)}
+HALF_OPEN_ANSWERS = 1200  # of honest clients in quiet, and as many while connections are half-open
 SLOW_SECONDS = 25  # within which a server has ended what says nothing: its bound is 10 s, of HTTP 15 s
 
 
@@ -120,15 +130,18 @@ class Station:
         return sum(int(one.group(1)) for one in found if one)
 
     def alive(self):
-        return self.process.child.poll() is None
+        return self.process.runs() if hasattr(self.process, "runs") else self.process.child.poll() is None
 
 
 class Port:
-    def __init__(self, name, station, speaks, number, tls=None, plain=None, unit=None, revoking=None, gate=None, recorded=True, lane="data"):
+    def __init__(self, name, station, speaks, number, tls=None, plain=None, unit=None, revoking=None, gate=None, recorded=True, lane="data",
+                 only=None, of_ice=False):
         """`tls`, `plain`: addresses; `unit`: the kind of certificate that is right there; `revoking`: (station, address) of a port of
-        the same kind that knows of revoked certificates; `gate`: the object that strangers call."""
+        the same kind that knows of revoked certificates; `gate`: the object that strangers call; `only`: other kinds of certificates
+        that the handshake lets in, where it refuses the rest; `of_ice`: a program of Ice's, of the cluster."""
         self.name, self.station, self.speaks, self.number = name, station, speaks, number
         self.tls, self.plain, self.unit, self.revoking, self.gate, self.recorded, self.lane = tls, plain, unit, revoking, gate, recorded, lane
+        self.only, self.of_ice = only, of_ice
 
     def source(self, rng):
         """An address of this machine, which is a source of its own to those who bound what each may do."""
@@ -136,18 +149,19 @@ class Port:
 
 
 class Honest:
-    """Who holds the robots, and asks them for their status: the answers' times are what an attack may not change."""
+    """Who holds robots, and asks them for their status: the answers' times are what an attack may not change."""
 
-    def __init__(self, client, entities):
-        self.client, self.entities, self.failed = client, entities, []
+    def __init__(self, name, client, entities):
+        self.name, self.client, self.entities, self.failed = name, client, entities, []
         self.quiet, self.attacked = [], []  # seconds
-        self.times = self.attacked  # those of now
+        self.times = self.quiet  # those of now
+        self.states = {entity: client.statuses[entity].state for entity in entities}
         self.ended = threading.Event()
         self.thread = threading.Thread(target=self.run, daemon=True)
         self.thread.start()
 
     def run(self):
-        while not self.ended.wait(0.02):
+        while not self.ended.wait(0.01 * len(self.entities)):
             for entity in self.entities:
                 number, began = uuid.uuid4().bytes, time.monotonic()
                 try:
@@ -160,26 +174,66 @@ class Honest:
                 with self.client.news:
                     self.client.arrived[:] = [one for one in self.client.arrived if not isinstance(one[2], messages_pb2.ToClient)][-100:]
 
-    def rest(self, count):
-        """Without an attack until as many more have come; in about a hundredth of a second each."""
-        until = len(self.quiet) + count
-        self.times = self.quiet
-        wait_until(lambda: len(self.quiet) >= until or self.failed, "the honest client gets answers", 60 + count / 10)
-        self.times = self.attacked
+    def measure(self, count):
+        """The times of as many answers from now on; about a hundredth of a second each."""
+        before, self.times = self.times, []
+        try:
+            wait_until(lambda: len(self.times) >= count or self.failed, f"{self.name} gets answers", 60 + count / 10)
+            return self.times
+        finally:
+            self.times = before
+
+    def judge(self):
+        """What it has lost, in sentences."""
+        if self.failed or self.client.closed.is_set():
+            yield f"{self.name}: {self.failed or 'its session has ended'}"
+        for entity, state in self.states.items():
+            if self.client.statuses[entity].state != state:
+                yield f"{self.name}: the entity {entity} was {state} and is {self.client.statuses[entity].state}"
 
     def end(self):
         self.ended.set()
         self.thread.join()
+        self.client.destroy()
+
+
+def slower(name, quiet, attacked, what):
+    """(the line that tells both 99th percentiles, what is wrong with that)"""
+    before, under = p99(quiet), p99(attacked)
+    line = f"{name}, status requests: p99 {before:.2f} ms of {len(quiet)} in quiet, {under:.2f} ms of {len(attacked)} {what}"
+    if min(len(quiet), len(attacked)) >= 1000 and under > 2 * before:
+        return line, [f"{name}: its 99th percentile {what} is {under:.2f} ms, more than twice the {before:.2f} ms in quiet"]
+    return line, []
 
 
 class Siege:
     def __init__(self):
         self.lab = Laboratory(BIN, application=f"abuse-{os.getpid()}", environment="embedded")
+        self.honest, self.deployed = [], None
         try:
             self.start()
         except BaseException:
-            self.lab.end()
+            self.end()
             raise
+
+    def end(self):
+        for one in self.honest:
+            one.end()
+        try:
+            if self.deployed:
+                self.deployed.end()
+        finally:
+            self.lab.end()
+
+    def rest(self, count):
+        """Without an attack until every honest client has as many more answers."""
+        until = [(one, one.times, len(one.quiet) + count) for one in self.honest]
+        for one, _, _ in until:
+            one.times = one.quiet
+        for one, before, most in until:
+            wait_until(lambda its=one, enough=most: len(its.quiet) >= enough or its.failed, f"{one.name} gets answers", 60 + count / 10)
+        for one, before, _ in until:
+            one.times = before
 
     def write(self, name, *lines):
         file = self.lab.folder / name
@@ -196,14 +250,16 @@ class Siege:
         self.certs = lab.folder / "certs"
         subprocess.run([BIN / "hostile-certificates", self.certs], check=True)
         self.users = lab.folder / "users.cfg"
-        for user, role in USERS.items():
+        for user, role in {**USERS, "lab-a": "operator"}.items():
             subprocess.run([BIN / "axon-server", "--users", self.users, "--add-user", user, "--user-role", role],
                            input=f"word of {user}\n", text=True, check=True, capture_output=True)
+        console_signal = free_port()
         both = "ssl -h 127.0.0.1 -p 0:tcp -h 127.0.0.1 -p 0"
         server = self.write("server.cfg", *self.certified("server"), f"Server.Users={self.users}", f"Axon.Audit.Folder={lab.folder}/audit",
                             *[f"{name}.Endpoints={both}" for name in ("FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")],
                             "FrontEndServerRouter.Endpoints=127.0.0.1:0", "EntityServerRouter.Endpoints=127.0.0.1:0",
-                            *[f"{name}.Endpoints=ssl://127.0.0.1:{free_port()}" for name in ("Console", "ConsoleSession", "ConsoleSignal")])
+                            *[f"{name}.Endpoints=ssl://127.0.0.1:{port}" for name, port in (
+                                ("Console", free_port()), ("ConsoleSession", free_port()), ("ConsoleSignal", console_signal))])
         process = lab.start("server", "axon-server", "--config", server)
         at = addresses(process.wait_for("ready "))
         self.server = Station(process, lab.folder / "audit")
@@ -235,17 +291,24 @@ class Siege:
             Port("entity-data", self.server, "ice", 3, of("entity", True), of("entity", False), "entity", (back, back_at[""]), "EntityGate"),
             Port("entity-signal", self.server, "ice", 4, of("entity-signal", True), of("entity-signal", False), "entity",
                  (back, back_at["Signal"]), "EntityGate", lane="signal"),
-            Port("topic", front, "ice", 5, front_at["Topic"], None, "storm", (front, front_at["Topic"])),
-            Port("topic-signal", back, "ice", 6, back_at["TopicSignal"], None, "front-end", (back, back_at["TopicSignal"])),
-            Port("router-door", back, "ice", 7, back_at["Router"], loopback(at["entity-router"]), "router", (back, back_at["Router"])),
+            Port("topic", front, "ice", 5, front_at["Topic"], None, "storm", (front, front_at["Topic"]), only=("entity-server",)),
+            Port("topic-signal", back, "ice", 6, back_at["TopicSignal"], None, "front-end", (back, back_at["TopicSignal"]),
+                 only=("entity-server",)),
+            Port("router-door", back, "ice", 7, back_at["Router"], loopback(at["entity-router"]), "router", (back, back_at["Router"]),
+                 only=("server", "entity-server")),
+            # The gateway of a partner comes to the ports for clients there, and for Entity Managers at home; it has none of its own.
+            Port("partner-client", self.server, "ice", 16, of("client", True), None, "partner-client", (front, front_at[""]), "ClientGate"),
+            Port("partner-entity", self.server, "ice", 17, of("entity", True), None, "partner", (back, back_at[""]), "EntityGate"),
         ]
         self.router_door_plain = self.server
         ports += self.start_router(loopback(at["client-router"]))
-        ports += self.find_console(at["console"])
+        ports += self.find_console(at["console"], console_signal)
         ports += self.start_robots(of("entity", True))
+        ports += self.start_cluster(of("entity", True))
         wanted = arguments.ports.split(",") if arguments.ports else [port.name for port in ports]
         if unknown := set(wanted) - {port.name for port in ports}:
             raise Failed(f"no port {', '.join(unknown)}; expected some of {', '.join(port.name for port in ports)}")
+        self.all_ports = {port.name: port for port in ports}
         self.ports = [port for port in ports if port.name in wanted]
         self.record_honest()
 
@@ -265,13 +328,14 @@ class Siege:
         self.stations.append(station)
         return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", recorded=False)]
 
-    def find_console(self, at):
+    def find_console(self, at, signal_port):
         self.console = loopback(at.rstrip("/"))
         _, cookie = self.visit("guest")
         endpoint = self.ticket(cookie)["endpoint"]
         session = "127.0.0.1", int(re.search(r"-p (\d+)", endpoint).group(1))
         return [Port("console", self.server, "http", 9, self.console, None),
-                Port("console-session", self.server, "ws", 10, session, None, gate="ClientGate")]
+                Port("console-session", self.server, "ws", 10, session, None, gate="ClientGate"),
+                Port("console-signal", self.server, "ws", 18, ("127.0.0.1", signal_port), None, gate="ClientGate", lane="signal")]
 
     def trusting(self, which=None, kind=None, most=None):
         """How a peer speaks TLS that shows this certificate, and takes any."""
@@ -308,37 +372,85 @@ class Siege:
     def start_robots(self, entity_port):
         """One whose Entity Manager speaks TLS, and one that does not; both are held by the honest client."""
         lab, ports = self.lab, []
-        low = 5600 + os.getpid() * 7 % 1900
-        stations = {}
-        for at, (name, lines) in enumerate((
-                ("Counter", (*self.certified("entity"), "Axon.Server=ssl://localhost:%d" % entity_port[1])),
-                ("Plain", ("Axon.User=robot", "Axon.Password=word of robot", f"Axon.Server={self.at['entity']}")))):
-            folder = lab.folder / name
-            shutil.copytree(HERE.parent / "foreign" / "robot", folder)
-            basic = folder / "basic.xml"
-            basic.write_text(basic.read_text().replace('"Counter"', f'"{name}"'))
-            ports_file = self.write(f"ports-{name}.cfg", f"Axon.Ports = {low + 10 * at}-{low + 10 * at + 5}")
-            app = lab.start(f"app-{name}", "foreign-counter", folder, ports_file, f"{lab.application}-{name}")
-            config = self.write(f"manager-{name}.cfg", f"Axon.Application={lab.application}-{name}", f"Axon.Ports={low + 10 * at}-{low + 10 * at + 5}",
-                                "Axon.Audit.Folder=audit", *lines)
-            manager = lab.start(f"em-{name}", "axon-entity-manager", "--state", lab.folder / f"state-{name}", "--config", config)
-            stations[name] = Station(manager, lab.folder / f"state-{name}" / "audit")
-            self.stations += [stations[name], Station(app)]
+        stations = {name: self.start_robot(at, name, lines) for at, (name, lines) in enumerate((
+            ("Counter", (*self.certified("entity"), "Axon.Server=ssl://localhost:%d" % entity_port[1])),
+            ("Plain", ("Axon.User=robot", "Axon.Password=word of robot", f"Axon.Server={self.at['entity']}"))))}
         client = Client(self.at["client"], "ann", "word of ann", "ann@example")
         self.grants, entities = {}, []
         for name in stations:
             entity = client.find(name, 30)
             self.grants[name] = client.checkout(entity)
             entities.append(entity)
-        self.honest = Honest(client, entities)
+        self.honest.append(Honest("the honest client", client, entities))
         self.client_id = uuid.UUID(client.facts.me.id.rsplit(":", 1)[-1])
         tls, plain = self.grants["Counter"], self.grants["Plain"]
         ports += [Port("direct-data", stations["Counter"], "lane", 11, loopback(tls.direct_endpoint), None, "client"),
                   Port("direct-data-plain", stations["Plain"], "lane", 12, None, loopback(plain.direct_endpoint)),
                   Port("direct-signal", stations["Counter"], "ice", 13, loopback(tls.direct_signal_endpoint), None, "client", gate="DirectGate", lane="direct"),
                   Port("direct-signal-plain", stations["Plain"], "ice", 14, None, loopback(plain.direct_signal_endpoint), gate="DirectGate", lane="direct")]
-        link = next(port for port in range(low + 10, low + 16) if self.listens(port))
+        low, high = self.robot_ports(1)
+        link = next(port for port in range(low, high + 1) if self.listens(port))
         ports.append(Port("robot-link", self.stations[-1], "link", 15, None, ("127.0.0.1", link), recorded=False))
+        return ports
+
+    @staticmethod
+    def robot_ports(at):
+        low = 5600 + os.getpid() * 7 % 1900 + 10 * at
+        return low, low + 5
+
+    def start_robot(self, at, name, lines):
+        """The Entity Manager's station."""
+        lab, folder, range_of_ports = self.lab, self.lab.folder / name, "%d-%d" % self.robot_ports(at)
+        shutil.copytree(HERE.parent / "foreign" / "robot", folder)
+        basic = folder / "basic.xml"
+        basic.write_text(basic.read_text().replace('"Counter"', f'"{name}"'))
+        ports_file = self.write(f"ports-{name}.cfg", f"Axon.Ports = {range_of_ports}")
+        app = lab.start(f"app-{name}", "foreign-counter", folder, ports_file, f"{lab.application}-{name}")
+        config = self.write(f"manager-{name}.cfg", f"Axon.Application={lab.application}-{name}", f"Axon.Ports={range_of_ports}",
+                            "Axon.Audit.Folder=audit", *lines)
+        manager = lab.start(f"em-{name}", "axon-entity-manager", "--state", lab.folder / f"state-{name}", "--config", config)
+        station = Station(manager, lab.folder / f"state-{name}" / "audit")
+        self.stations += [station, Station(app)]
+        return station
+
+    def start_cluster(self, entity_port):
+        """A laboratory b of its own, with a robot that is shown in the other one as b/Far."""
+        if missing := missing_programs():
+            print(f"no {', '.join(missing)}: the ports of IceStorm, of IceGrid and of a router for servers are left out, and the honest client "
+                  "behind routers, too", file=sys.stderr)
+            return []
+        self.deployed = Deployed(self.lab.folder / "cluster", BIN, self.certs, self.users)
+        self.deployed.up()
+        self.start_robot(2, "Far", (self.deployed.entity_config(),))
+        router = self.deployed.client_router()
+        client = RoutedClient(router, dict(line.split("=", 1) for line in self.certified("client")), "ann@far")
+        far = client.find("Far", 30)
+        client.checkout(far)
+        self.honest.append(Honest("the honest client behind routers", client, [far]))
+        there = self.write("partner-there.cfg", *self.certified("partner-client"), f"Ice.Default.Router={router}")
+        home = self.write("partner-home.cfg", *self.certified("partner"), "Axon.Server=ssl://localhost:%d" % entity_port[1])
+        gateway = self.lab.start("gateway", "axon-partner", "--name", "b", "--as", "a", "--client-config", there, "--entity-config", home,
+                                 "--state", self.lab.folder / "state-gateway")
+        self.stations.append(Station(gateway))
+        near = self.honest[0].client
+        self.shown = near.find("b/Far", 30, states=tuple(CommUtil.EntityState.valueOf(number) for number in range(20)))
+        ports = []
+        for number, (port, program, what, unit, only) in enumerate((
+                ("icestorm", "icestorm1", "topics", "front-end", ("entity-server", "storm")),
+                ("icestorm-publish", "icestorm2", "publish", "entity-server", ("front-end", "storm")),
+                ("icestorm-replica", "icestorm3", "replicas", "storm", ("front-end", "entity-server")),
+                ("registry", "icegridregistry", "locator", "registry", ()),
+                ("registry-servers", "icegridregistry", "servers", "registry", ()),
+                ("registry-nodes", "icegridregistry", "nodes", "registry", ()),
+                ("node", "icegridnode", "registry", "registry", ()),
+                ("router-servers", "client-router", "callbacks", "front-end", ())), 19):
+            trail = self.deployed.trail(program)
+            station = next((one for one in self.stations if one.process.name == program), None) or Station(self.deployed.program(program), trail)
+            if station not in self.stations:
+                self.stations.append(station)
+            ports.append(Port(port, station, "ice", number, self.deployed.at(program, what), None, unit, recorded=bool(trail), only=only, of_ice=True))
+        self.stations += [Station(self.deployed.program(name)) for name in self.deployed.ports
+                          if name not in [one.process.name for one in self.stations]]
         return ports
 
     @staticmethod
@@ -384,6 +496,16 @@ class Siege:
             sink.shutdown(socket.SHUT_WR)
         except OSError:
             pass
+
+    def of(self, name):
+        return self.all_ports[name].tls
+
+    @staticmethod
+    def connections_from(source):
+        """Open ones of this machine that come from this address, as the kernel lists them."""
+        its = socket.inet_aton(source)[::-1].hex().upper()
+        rows = [line.split() for line in pathlib.Path("/proc/net/tcp").read_text().splitlines()[1:]]
+        return sum(row[1].startswith(f"{its}:") and row[3] == "01" for row in rows)
 
     # What one case needs.
 
@@ -469,13 +591,11 @@ def old_tls(siege, port, rng, source):
 def wrong_kind(siege, port, rng, source):
     """A certificate of the laboratory, of those who have nothing to seek there."""
     units = [unit for unit in ("client", "entity", "registry", "storm", "router", "front-end", "entity-server", "server") if unit != port.unit]
-    allowed = {"topic": ("storm", "entity-server"), "topic-signal": ("front-end", "entity-server"),
-               "router-door": ("router", "server", "entity-server")}.get(port.name, ())
     wire = Wire(port.tls, source)
     me = wire.me
     try:
-        wire.secure(siege.trusting("good", rng.choice([unit for unit in units if unit not in allowed])))
-        if port.name in ("topic", "topic-signal", "router-door"):
+        wire.secure(siege.trusting("good", rng.choice([unit for unit in units if unit not in (port.only or ())])))
+        if port.only is not None:
             ends(wire)
             return Case(me, port.station)
         return say_wrong(siege, port, rng, wire)
@@ -651,8 +771,7 @@ def token(rng):
 def attach_on(wire, port, its):
     status, reply = wire.call(port.gate, "open", ice.text("") * (3 if port.gate == "ClientGate" else 2), context=CONTRACT)
     if status == 0:
-        callback = ice.text("callback") + ice.text("") + b"\0\0\0" + b"\1\0\1\1" + b"\0" + ice.text("")
-        status, reply = wire.call(ice.identity_in(reply), "attachSignalLane", ice.text(its) + callback)
+        status, reply = wire.call(ice.identity_in(reply), "attachSignalLane", ice.text(its) + CALLBACK)
     refused(wire, status, reply)
     return Case(wire.me, port.station)
 
@@ -667,9 +786,37 @@ def wrong_token(siege, port, rng, source):
 def used_token(siege, port, rng, source):
     """That of the honest client, whose signal lane is attached."""
     wire, station = siege.either(port, rng, source)
-    case = attach_on(wire.validated(), port, siege.honest.client.facts.token)
+    case = attach_on(wire.validated(), port, siege.honest[0].client.facts.token)
     case.station = station
     return case
+
+
+CALLBACK = ice.text("callback") + ice.text("") + b"\0\0\0" + b"\1\0\1\1" + b"\0" + ice.text("")  # over its own connection
+
+
+def others_robot(siege, port, rng, source):
+    """A partner's gateway announces a robot that is not one of the partner's laboratory."""
+    wire = siege.wire(port, source).validated()
+    status, reply = wire.call("EntityGate", "open", ice.text("") * 2, context=CONTRACT)
+    if status != 0:
+        raise NotRefused(f"an honest gateway was answered with {status}: {reply}")
+    session = ice.identity_in(reply)
+    status, reply = wire.call(session, "setCallback", CALLBACK)
+    if status != 0:
+        raise NotRefused(f"an honest gateway was answered with {status}: {reply}")
+    name = rng.choice(("Counter", "Plain", "b", "c/Far", "B/Far", " b/Far", "/b/Far", ""))
+    its = (ice.text(str(uuid.UUID(bytes=rng.randbytes(16), version=4))) + ice.text(name) + ice.text("ROBOT") + ice.text("MOBILE") +
+           struct.pack("<ii", 50, 2000) + ice.text(""))
+    refused(wire, *wire.call(session, "sendBasicPrfl", its + ice.size(3) + b"\x0a\x01x" + ice.size(0)))
+    return Case(wire.me, port.station)
+
+
+def others_user(siege, port, rng, source):
+    """A partner's gateway, by its certificate, as somebody else."""
+    wire = siege.wire(port, source).validated()
+    refused(wire, *wire.call("ClientGate", "open", ice.text(rng.choice(("ann", "bob", "chief", "nobody"))) + ice.text(rng.choice(("", "wrong"))) +
+                             ice.text("lab-a@a"), context=CONTRACT))
+    return Case(wire.me, port.station)
 
 
 def call_of_servers(siege, port, rng, source):
@@ -767,8 +914,7 @@ def direct_opening(siege, port, rng, nonce, key=None):
     me, path = siege.client_id, rng.randbytes(16)
     its = proof(key or rng.randbytes(16), CLIENT, 0, lease.epoch, lease.number, me.bytes, path, nonce)
     lane = next(number for number in (0, 1) if CommUtil.Lane.valueOf(number) == CommUtil.Lane.Signal)
-    callback = ice.text("callback") + ice.text("") + b"\0\0\0" + b"\1\0\1\1" + b"\0" + ice.text("")
-    return bytes([lane]) + struct.pack("<ii", lease.epoch, lease.number) + ice.text(str(me)) + ice.size(16) + path + ice.size(len(its)) + its + callback
+    return bytes([lane]) + struct.pack("<ii", lease.epoch, lease.number) + ice.text(str(me)) + ice.size(16) + path + ice.size(len(its)) + its + CALLBACK
 
 
 def open_direct_on(siege, port, rng, wire):
@@ -878,6 +1024,10 @@ def ws_wrong_ticket(siege, port, rng, source):
     return Case(wire.me, port.station)
 
 
+def ws_wrong_token(siege, port, rng, source):
+    return attach_on(browser(siege, port, source).validated(), port, rng.choice((token(rng), siege.honest[0].client.facts.token)))
+
+
 def ws_used_ticket(siege, port, rng, source):
     its = siege.ticket(siege.visit("guest")[1])["password"]
     first = browser(siege, port, source).validated()
@@ -949,11 +1099,12 @@ def table(port):
         if port.unit:
             rows += [row for row in CERTIFICATES if row[0] != "revoked" or port.revoking]
     if port.speaks == "ice":
-        # A peer of a topic port has shown the certificate of a server.
-        rows += [row for row in ICE if row[0] != "unknown call" or not port.name.startswith("topic")]
+        # A peer of a topic port, and of one of Ice's programs, has shown the certificate of a server.
+        rows += [row for row in ICE if row[0] != "unknown call" or not (port.name.startswith("topic") or port.of_ice)]
         rows += {"client-data": LOG_INS, "entity-data": LOG_INS, "client-signal": ATTACH, "entity-signal": ATTACH, "topic": [("call of servers", call_of_servers, 2)],
                  "topic-signal": [("call of servers", call_of_servers, 2)], "router-door": [("wrong password", unknown_verifier, 2)],
-                 "router": [("wrong password", router_log_in, 2)]}.get(port.name, [])
+                 "router": [("wrong password", router_log_in, 2)], "partner-client": [("another user", others_user, 4)],
+                 "partner-entity": [("another's robot", others_robot, 4)]}.get(port.name, [])
         if port.lane == "direct":
             rows += [("wrong opening", wrong_opening, 4)]
     if port.speaks == "lane":
@@ -966,8 +1117,8 @@ def table(port):
                  ("large form", console_large_form, 1), ("old cookie", console_old_cookie, 1)]
     if port.speaks == "ws":
         rows = [row for row in rows if row[0] not in ("old TLS",)]
-        rows += [("garbage", ws_garbage, 2), ("rubbish in frames", ws_rubbish, 3), ("foreign page", ws_foreign_page, 2), ("wrong ticket", ws_wrong_ticket, 2),
-                 ("used ticket", ws_used_ticket, 1)]
+        rows += [("garbage", ws_garbage, 2), ("rubbish in frames", ws_rubbish, 3), ("foreign page", ws_foreign_page, 2)]
+        rows += [("wrong token", ws_wrong_token, 3)] if port.lane == "signal" else [("wrong ticket", ws_wrong_ticket, 2), ("used ticket", ws_used_ticket, 1)]
     if port.speaks == "link":
         rows += [("garbage", link_garbage, 2), ("oversize", link_oversize, 1), ("empty frame", link_empty, 1), ("second manager", link_second, 2),
                  ("data lane first", link_data_first, 1), ("other hello", link_other, 2), ("no hello", link_no_hello, 1)]
@@ -1058,7 +1209,7 @@ def check_port(siege, port, index):
         kind, function, _ = rows[number] if first else order[number % len(order)]
         if first and not arguments.quick:
             # At first for a second: the log has lines left again, after what ended the port before.
-            siege.honest.rest(12 if number else 120)
+            siege.rest(12 if number else 120)
         seed = f"{arguments.seed}/{port.name}/{kind}/{number}"
         rng = random.Random(seed)
         figures[kind] += 1
@@ -1086,7 +1237,8 @@ def check_port(siege, port, index):
             flood_source = flood(siege, port)
         except (NotRefused, OSError) as error:
             failures.append(f"{port.name}, flood of connections: {error}")
-    records = check_records(port, cases, slow_ones, flood_source, failures) if port.recorded else 0
+    # Ice closes half-open connections of its own programs by its time-outs, which is no refusal.
+    records = check_records(port, cases, slow_ones if not port.of_ice else None, flood_source if not port.of_ice else None, failures) if port.recorded else 0
     return {"port": port.name, "cases": sum(figures.values()), "kinds": dict(figures), "records": records, "failures": len(failures),
             "seconds": round(time.monotonic() - began, 1)}, failures
 
@@ -1123,58 +1275,101 @@ def p99(times):
     return sorted(times)[int(len(times) * 0.99)] * 1000 if times else float("nan")
 
 
+def hold_half_open(siege):
+    """([what is told], [what failed]): honest clients while connections to the port that they use are half-open, against quiet."""
+    incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+    try:
+        siege.trusting().wrap_bio(incoming, outgoing).do_handshake()
+    except ssl.SSLWantReadError:
+        pass
+    hello = siege.lab.folder / "hello"
+    hello.write_bytes(outgoing.read())
+    near, told, failures = siege.honest[0], [], []
+    targets = [("client-data", near, siege.of("client-data")), ("entity-data", near, siege.of("entity-data"))]
+    if siege.deployed:
+        targets.append(("client-router", siege.honest[1], siege.deployed.at("client-router", "clients")))
+    for number, (name, honest, (host, port)) in enumerate(targets):
+        quiet = honest.measure(HALF_OPEN_ANSWERS)
+        with subprocess.Popen([sys.executable, HERE / "half_open.py", host, str(port), f"127.250.{number}.1", str(arguments.half_open), hello], text=True,
+                              stdin=subprocess.PIPE, stdout=subprocess.PIPE) as attack:
+            try:
+                if attack.stdout.readline() != "all are open\n":
+                    raise Failed(f"{name}: {arguments.half_open} half-open connections could not be made")
+                held = honest.measure(HALF_OPEN_ANSWERS)
+                most = siege.connections_from(f"127.250.{number}.1")
+            finally:
+                made = attack.communicate("")[0].strip() if attack.poll() is None else "?"
+        line, failed = slower(honest.name, quiet, held, f"with {arguments.half_open} half-open TLS connections at {name}")
+        told.append(f"{line} ({most} at the end, {made} made)")
+        if most < 0.9 * arguments.half_open:
+            failed.append(f"the half-open connections at {name}: only {most} of {arguments.half_open} were open at the end")
+        failures += failed
+    return told, failures
+
+
+def attack_ports(siege, figures, failures):
+    for index, port in enumerate(siege.ports):
+        for honest in siege.honest:
+            # Who is behind the routers is compared while the cluster is attacked.
+            honest.times = honest.attacked if honest is siege.honest[0] or port.of_ice else []
+        its, failed = check_port(siege, port, index)
+        if its:
+            figures.append(its)
+            print(f"{its['port']:20} {its['cases']:5} cases {its['records']:5} records {its['failures']:3} failures {its['seconds']:6.1f} s", flush=True)
+        for line in failed[:12]:
+            print("    " + line, flush=True)
+        failures += failed
+        for station in siege.stations:
+            if not station.alive():
+                failures.append(f"after {port.name}: {station.process.name} has ended")
+                print("    " + failures[-1], flush=True)
+
+
 def main():
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(2))  # what it has started ends with it
+    def interrupted(*_):
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # what it has started ends with it, also if it is told so twice
+        sys.exit(2)
+    signal.signal(signal.SIGTERM, interrupted)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(8192, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)
     try:
         siege = Siege()
-    except (Failed, TimeoutError, OSError) as error:
+    except (Failed, TimeoutError, OSError, Misconfigured, Unready) as error:
         print(error, file=sys.stderr)
         return 2
-    figures, failures = [], []
+    figures, failures, told = [], [], []
     try:
-        honest = siege.honest
-        states = {entity: honest.client.statuses[entity].state for entity in honest.entities}
-        honest.rest(150 if arguments.quick else 1500)
-        for index, port in enumerate(siege.ports):
-            its, failed = check_port(siege, port, index)
-            if its:
-                figures.append(its)
-                print(f"{its['port']:20} {its['cases']:5} cases {its['records']:5} records {its['failures']:3} failures {its['seconds']:6.1f} s", flush=True)
-            for line in failed[:12]:
-                print("    " + line, flush=True)
-            failures += failed
-            for station in siege.stations:
-                if not station.alive():
-                    failures.append(f"after {port.name}: {station.process.name} has ended")
-                    print("    " + failures[-1], flush=True)
-        honest.end()
-        quiet, attacked = honest.quiet, honest.attacked
-        if honest.failed or honest.client.closed.is_set():
-            failures.append(f"the honest client: {honest.failed or 'its session has ended'}")
-        for entity, state in states.items():
-            if honest.client.statuses[entity].state != state:
-                failures.append(f"the entity {entity} was {state} and is {honest.client.statuses[entity].state}")
-        before, under = p99(quiet), p99(attacked)
-        print(f"honest status requests: p99 {before:.2f} ms of {len(quiet)} in quiet, {under:.2f} ms of {len(attacked)} under abuse")
-        if min(len(quiet), len(attacked)) >= 1000 and under > 2 * before:
-            failures.append("the honest client: its 99th percentile under abuse is more than twice that in quiet")
+        siege.rest(150 if arguments.quick or not arguments.cases else 1500)
+        if arguments.cases:
+            attack_ports(siege, figures, failures)
+            for honest in siege.honest:
+                line, slow_ones = slower(honest.name, honest.quiet, honest.attacked, "under abuse")
+                told.append(line)
+                failures += slow_ones
+                print(line, flush=True)
+        if arguments.half_open:
+            lines, slow_ones = hold_half_open(siege)
+            told += lines
+            failures += slow_ones
+            print("\n".join(lines), flush=True)
+        for honest in siege.honest:
+            failures += honest.judge()
+        if siege.deployed and siege.shown not in siege.honest[0].client.entities:
+            failures.append("the honest gateway: b/Far is not shown any longer")
         print(f"{sum(one['cases'] for one in figures)} cases, {len(failures)} failures")
         for line in failures:
-            if line.startswith(("after", "the honest", "an honest", "the entity")):
+            if line.startswith(("after", "the honest", "the half-open")):
                 print("    " + line)
         if arguments.json:
-            pathlib.Path(arguments.json).write_text(json.dumps({
-                "ports": figures, "failures": failures, "quiet_p99_ms": before, "p99_ms": under, "n_quiet": len(quiet), "n": len(attacked)}, indent=1))
+            pathlib.Path(arguments.json).write_text(json.dumps({"ports": figures, "failures": failures, "honest": told, "clients": [
+                {"name": one.name, "quiet_p99_ms": p99(one.quiet), "p99_ms": p99(one.attacked), "n_quiet": len(one.quiet), "n": len(one.attacked)}
+                for one in siege.honest]}, indent=1))
         return 1 if failures else 0
     except Failed as error:
         failures.append(str(error))
         print(error, file=sys.stderr)
         return 1
     finally:
-        siege.honest.ended.set()
-        siege.honest.client.destroy()
-        siege.lab.end()
+        siege.end()
         if failures:
             print(f"logs: {siege.lab.folder}", file=sys.stderr)
         else:

@@ -3,8 +3,9 @@
 //
 //     hostile-certificates FOLDER
 //
-// makes FOLDER/{good,foreign,expired,early,revoked}/KIND.{cert,key}.pem for each kind, FOLDER/ca.cert.pem,
-// and FOLDER/revoked.crl.pem. All but the foreign ones are the CA's.
+// makes FOLDER/{good,foreign,expired,early,revoked}/KIND.{cert,key}.pem for each kind, and for the two of a
+// partner's gateway, FOLDER/ca.{cert,key}.pem as axon certs has them, and FOLDER/revoked.crl.pem. All but the
+// foreign ones are the CA's.
 #include <gnutls/x509.h>
 
 #include <filesystem>
@@ -40,11 +41,14 @@ std::vector<std::string> namesFor(Kind kind) {
 
 std::vector<Issued> issueAll(const fs::path& folder, const Issued& authority, WallTime at) {
     std::vector<Issued> all;
-    for (const auto kind : kKinds) {
-        all.push_back(issue(authority, {kind, namesFor(kind)}, at));
-        write(folder / (std::string(toString(kind)) + ".cert.pem"), all.back().certificate);
-        write(folder / (std::string(toString(kind)) + ".key.pem"), all.back().key);
-    }
+    const auto add = [&](const std::string& stem, Kind kind, const std::vector<std::string>& names) {
+        all.push_back(issue(authority, {kind, names}, at));
+        write(folder / (stem + ".cert.pem"), all.back().certificate);
+        write(folder / (stem + ".key.pem"), all.back().key);
+    };
+    for (const auto kind : kKinds) add(std::string(toString(kind)), kind, namesFor(kind));
+    add("partner", Kind::Entity, {"b/"});
+    add("partner-client", Kind::Client, {"lab-a"});
     return all;
 }
 
@@ -90,6 +94,7 @@ int main(int argc, char** argv) try {
     const auto long_ago = now - std::chrono::days{400};
     const auto authority = makeAuthority(long_ago);
     write(folder / "ca.cert.pem", authority.certificate);
+    write(folder / "ca.key.pem", authority.key);
     issueAll(folder / "good", authority, now);
     issueAll(folder / "foreign", makeAuthority(long_ago), now);
     issueAll(folder / "expired", authority, long_ago);
