@@ -590,7 +590,8 @@ def old_tls(siege, port, rng, source):
 
 def wrong_kind(siege, port, rng, source):
     """A certificate of the laboratory, of those who have nothing to seek there."""
-    units = [unit for unit in ("client", "entity", "registry", "storm", "router", "front-end", "entity-server", "server") if unit != port.unit]
+    units = [unit for unit in ("client", "entity", "registry", "storm", "router", "front-end", "entity-server", "server")
+             if unit not in (port.unit, *{"partner": ["entity"], "partner-client": ["client"]}.get(port.unit, ()))]
     wire = Wire(port.tls, source)
     me = wire.me
     try:
