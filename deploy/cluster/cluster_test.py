@@ -218,6 +218,7 @@ class OfIceGrid(unittest.TestCase):
             self.assertEqual(configuration.read_property(self.files[file], "IceSSL.VerifyPeer"), "2")
             self.assertEqual(configuration.read_property(self.files[file], "IceSSL.CertFile"), "registry-127.0.0.1.cert.pem")
             self.assertEqual(configuration.read_property(self.files[file], "Ice.Override.ConnectTimeout"), "10000")
+        self.assertEqual(configuration.read_property(self.files["icegridregistry.cfg"], "IceGrid.Registry.Internal.MessageSizeMax"), "4096")
         self.assertEqual(set(configuration.certificates(self.plan)), {"icegridregistry", "icegridnode"})
 
     def test_servers_may_reach_any_replica_of_icestorm_and_replicas_reach_each_other(self):
@@ -228,6 +229,7 @@ class OfIceGrid(unittest.TestCase):
         for number in range(1, 4):
             text = self.files[f"icestorm-{number}.cfg"]
             self.assertEqual(configuration.read_property(text, "IceStorm.NodeId"), str(number))
+            self.assertEqual(configuration.read_property(text, "IceStorm.Node.MessageSizeMax"), "4096")
             self.assertIsNone(configuration.read_property(text, "IceStorm.Transient"), "which replicas cannot be")
             self.assertEqual(configuration.read_property(text, f"IceStorm.Nodes.{number}"),
                              f"IceStorm/node{number}:{configuration.read_property(text, 'IceStorm.Node.Endpoints')}")

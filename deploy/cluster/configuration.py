@@ -295,6 +295,8 @@ def storm_replica(plan, name):
 IceStorm.NodeId={replicas.index(name) + 1}
 {nodes}# Where the other replicas reach this one:
 IceStorm.Node.Endpoints={inner(plan, name, "replicas")}
+# Without this line it would take messages of any size there, in KiB:
+IceStorm.Node.MessageSizeMax={MESSAGE_SIZE_MAX}
 # Topics and subscriptions are kept here, and copied from the master to the other replicas; messages are not:
 IceStorm.LMDB.Path={plan.folder}/db/{name}
 # What the servers are told: any replica.
@@ -551,6 +553,8 @@ IceGrid.Registry.Discovery.Enabled=0
 IceGrid.Registry.Server.Endpoints={endpoint("servers")}
 # Where nodes come:
 IceGrid.Registry.Internal.Endpoints={endpoint("nodes")}
+# Without this line it would take messages of any size there, in KiB:
+IceGrid.Registry.Internal.MessageSizeMax={MESSAGE_SIZE_MAX}
 # Seconds until the session of a node that was killed ends, so that it is let in again. IceGrid looks every 20 s:
 IceGrid.Registry.NodeSessionTimeout=10
 # What it knows is kept here:
