@@ -5,7 +5,7 @@
 
 HELLO is the file of that hello, SOURCE the address of this machine to come from. The connections are opened evenly within so many
 SECONDS, so that they are also closed evenly by a bound that is longer; whoever is closed comes back. When all are open for the first
-time it says so by a line. Ends with its input, and then says how many connections it has made.
+time it says so by a line. Ends with its input.
 """
 import contextlib
 import os
@@ -46,7 +46,6 @@ def main(host, port, source, count, seconds, file):
             print("all are open", flush=True)
         for key, _ in waiting.select(0.01):
             if key.fileobj is sys.stdin:
-                print(made, flush=True)
                 return
             try:
                 if key.fileobj.recv(65536):
