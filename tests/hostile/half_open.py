@@ -42,7 +42,7 @@ def main(host, port, source, count, seconds, file):
                 continue
             one.close()
         if len(waiting.get_map()) > count and not told:
-            told = True
+            told, rate = True, 2 * rate  # who is closed comes back without a queue
             print("all are open", flush=True)
         for key, _ in waiting.select(0.01):
             if key.fileobj is sys.stdin:
