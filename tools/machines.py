@@ -151,7 +151,7 @@ class Machines(laboratory.Programs):
         installed, built = (configuration.Place("", programs, "").guard()[0] for programs in (hosts.PROGRAMS, self.lab.bin))
         for machine in self.layout:
             self.lab.add_lines(self.here(machine))
-        for file in (self.folder / "out").glob("*/glacier2*.cfg"):
+        for file in (self.folder / "out").glob("*/*.cfg"):
             file.write_text(file.read_text().replace(str(installed), str(built)))
         users = self.folder / "users.cfg"
         for machine in self.layout:

@@ -239,7 +239,7 @@ class Cluster:
                                     "name its folder with --programs")
         guard = configuration.Place("", self.axon_programs, "").guard()[1]
         if not guard.exists():
-            raise Misconfigured(f"{guard} does not exist, the plug-in of routers that comes with axon-server; fix: install "
+            raise Misconfigured(f"{guard} does not exist, the plug-in of routers, IceStorm and IceGrid that comes with axon-server; fix: install "
                                 "that package again, or build the target axon_router_guard")
 
     def write_files(self, plan, generated, fields):

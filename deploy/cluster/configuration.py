@@ -206,7 +206,7 @@ class Place:
     user: str
 
     def guard(self):
-        """The plug-in of routers, as Ice wants it named, and its file."""
+        """The plug-in of Ice's programs, as Ice wants it named, and its file."""
         folder = self.programs.parent / "lib" / "axon"
         return folder / GUARD, folder / f"lib{GUARD}.so.37"
 
@@ -231,13 +231,13 @@ def files(plan, passwords, place=INSTALLED):
               "entitygl2client.cfg": entity_manager(plan, passwords[ENTITY])}
     if plan.grid:
         place.check()
-        result |= {"icegridregistry.cfg": grid_registry(plan, REGISTRY), "icegridnode.cfg": grid_node(plan, place.user == "root", next(iter(plan.nodes())), plan.node_programs()[0]),
+        result |= {"icegridregistry.cfg": grid_registry(plan, REGISTRY, place), "icegridnode.cfg": grid_node(plan, next(iter(plan.nodes())), plan.node_programs()[0], place),
                    "icegridadmin.cfg": grid_admin(plan, REGISTRY), "start.sh": START,
                    "icegrid.xml": grid_application(plan, place.descriptor,
                                                    {node: (place.variables(plan), names) for node, names in plan.nodes().items()})}
     for number, name in enumerate(plan.storm_names(), 1):
         result[box_file(plan, number)] = icebox(plan, number)
-        result[storm_file(plan, number)] = icestorm(plan, name)
+        result[storm_file(plan, number)] = icestorm(plan, name, place)
     for number, name in enumerate(plan.front_end_names(), 1):
         result[f"frontendserver-{number}.cfg"] = server(plan, name, "FrontEndServer", plan.front_end_names())
     for number, name in enumerate(plan.entity_server_names(), 1):
@@ -257,7 +257,7 @@ Ice.Admin.Enabled=0
 """
 
 
-def icestorm(plan, name):
+def icestorm(plan, name, place):
     return f"""\
 # IceStorm: the topics FrontEndToEntity and EntityToFrontEnd between front-end servers and entity servers.
 IceStorm.InstanceName=IceStorm
@@ -276,7 +276,7 @@ IceStorm.Send.QueueSizeMaxPolicy=DropEvents
 IceStorm.Discard.Interval=1
 # As in every process of Axon, in KiB:
 Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
-{storm_tls(plan, name) if plan.tls else ""}"""
+{refusals(plan, name, place)}{storm_tls(plan, name) if plan.tls else ""}"""
 
 
 STORM_ALONE = """\
@@ -374,13 +374,29 @@ Ice.ACM.Client.Heartbeat=0
 # The same, also while log-ins are sent to it, which for Ice are signs of life: the plug-in asks each server four times a
 # second, and closes the connection if there is no answer within a second.
 Ice.Plugin.AxonRouterGuard="{place.guard()[0]}:createAxonRouterGuard"
-# Tries to reach a server, in milliseconds after one that failed:
+{refused(plan, name)}# Tries to reach a server, in milliseconds after one that failed:
 Ice.RetryIntervals=0 200 500
 Ice.Warn.Connections=0
 # As in every process of Axon, in KiB:
 Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
 Ice.Admin.Enabled=0
 """
+
+
+def refused(plan, name):
+    """Of a program of Ice's with the plug-in: what it needs to know who is refused, and where it is recorded."""
+    program = name.partition("@")[0]
+    return "# The plug-in says in the log who is refused, which Ice tells in these traces only. They do not fill the log:\nIce.Trace.Network=2\n" + (
+        f"# It is recorded here, too (docs/reference/audit.md), in a trail of this name:\n"
+        f"Axon.Audit.Folder={plan.folder}/audit\nAxon.Audit.Name={program}\n" if plan.audited else "")
+
+
+def refusals(plan, name, place):
+    """The same, of one that is no router, with the plug-in."""
+    return f'''\
+# A plug-in of Axon's, for who is turned away:
+Ice.Plugin.AxonRefusals="{place.guard()[0]}:createAxonRefusals"
+{refused(plan, name)}'''
 
 
 def server(plan, name, adapter, neighbours):
@@ -539,7 +555,7 @@ IceGrid.Registry.ReplicaName={SECOND_REGISTRY}
 """
 
 
-def grid_registry(plan, name):
+def grid_registry(plan, name, place):
     def endpoint(which):
         return grid_endpoint(plan, name, which)
     return f"""\
@@ -561,10 +577,10 @@ IceGrid.Registry.NodeSessionTimeout=10
 IceGrid.Registry.LMDB.Path={plan.folder}/{database(name)}
 # Whoever has a certificate of this kind is an administrator; the password is not looked at:
 IceGrid.Registry.AdminPermissionsVerifier={GRID_INSTANCE}/NullPermissionsVerifier
-{grid_links(plan, name)}"""
+{refusals(plan, name, place)}{grid_links(plan, name)}"""
 
 
-def grid_node(plan, as_root, name, program):
+def grid_node(plan, name, program, place):
     return f"""\
 # A node of IceGrid, which starts the programs of its machine:  icegridnode --Ice.Config=icegridnode.cfg
 IceGrid.Node.Name={name}
@@ -572,7 +588,7 @@ IceGrid.Node.Name={name}
 IceGrid.Node.Endpoints={grid_endpoint(plan, program, "registry")}
 # What it knows of its programs is kept here:
 IceGrid.Node.Data={plan.folder}/db/icegridnode
-{ROOT_TOO if as_root else ""}{grid_links(plan, program)}"""
+{ROOT_TOO if place.user == "root" else ""}{refusals(plan, program, place)}{grid_links(plan, program)}"""
 
 
 ROOT_TOO = """\

@@ -142,9 +142,9 @@ def files(plan, passwords, users, place):
                                 for file in files_of(program)]
         texts = {name: everything[name] for name in dict.fromkeys(names)}
         if registry := next((name for name in plan.registries() if name in here), None):
-            texts |= {"icegridregistry.cfg": configuration.grid_registry(plan, registry), "icegridadmin.cfg": configuration.grid_admin(plan, registry),
+            texts |= {"icegridregistry.cfg": configuration.grid_registry(plan, registry, place), "icegridadmin.cfg": configuration.grid_admin(plan, registry),
                       "icegrid.xml": everything["icegrid.xml"]}
-        texts["icegridnode.cfg"] = configuration.grid_node(plan, place.user == "root", machine, node)
+        texts["icegridnode.cfg"] = configuration.grid_node(plan, machine, node, place)
         texts["users.cfg"] = users
         found |= {f"{machine}/{name}": text for name, text in texts.items()}
     found[f"{FOR_CLIENTS}/client.cfg"] = everything["client.cfg"]

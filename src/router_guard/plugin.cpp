@@ -1,15 +1,37 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What glacier2router calls: Ice.Plugin.AxonRouterGuard=FOLDER/axonrouterguard:createAxonRouterGuard
+// What programs of Ice's call: glacier2router with Ice.Plugin.AxonRouterGuard=FOLDER/axonrouterguard:createAxonRouterGuard,
+// and those that are no routers with Ice.Plugin.AxonRefusals=FOLDER/axonrouterguard:createAxonRefusals.
+#include <Ice/LoggerUtil.h>
+
+#include <utility>
+
 #include "router_guard/priority.hpp"
+#include "router_guard/refusals_log.hpp"
 #include "router_guard/router_guard.hpp"
 
 namespace {
 
-/// Both parts of the guard, as Ice begins and ends them.
-class Plugin final : public Ice::Plugin {
+using axon::router_guard::WatchedProgram;
+
+/// Who is refused is recorded.
+class RefusalsPlugin : public Ice::LoggerPlugin {
   public:
-    explicit Plugin(const Ice::CommunicatorPtr& communicator)
-        : priority_(
+    RefusalsPlugin(const Ice::CommunicatorPtr& communicator, WatchedProgram its)
+        : LoggerPlugin(communicator, its.logger), its_(std::move(its)) {}
+    void destroy() override {
+        if (its_.refusals) its_.refusals->end();
+    }
+
+  private:
+    const WatchedProgram its_;
+};
+
+/// The same, and both parts of the guard, as Ice begins and ends them.
+class RouterPlugin final : public RefusalsPlugin {
+  public:
+    RouterPlugin(const Ice::CommunicatorPtr& communicator, WatchedProgram its)
+        : RefusalsPlugin(communicator, std::move(its)),
+          priority_(
               [communicator](const std::string& sentence) { communicator->getLogger()->print(sentence); }),
           guard_(communicator) {
         priority_.begin();
@@ -18,6 +40,7 @@ class Plugin final : public Ice::Plugin {
     void destroy() override {
         guard_.destroy();
         priority_.end();
+        RefusalsPlugin::destroy();
     }
 
   private:
@@ -30,5 +53,17 @@ class Plugin final : public Ice::Plugin {
 extern "C" ICE_DECLSPEC_EXPORT Ice::Plugin* createAxonRouterGuard(const Ice::CommunicatorPtr& communicator,
                                                                   const std::string& /*name*/,
                                                                   const Ice::StringSeq& /*arguments*/) {
-    return new Plugin(communicator);  // which Ice deletes
+    return new RouterPlugin(communicator, axon::router_guard::watchRefusals(communicator));  // Ice deletes it
+}
+
+extern "C" ICE_DECLSPEC_EXPORT Ice::Plugin* createAxonRefusals(const Ice::CommunicatorPtr& communicator,
+                                                               const std::string& /*name*/,
+                                                               const Ice::StringSeq& /*arguments*/) {
+    auto its = axon::router_guard::watchRefusals(communicator);
+    if (!its.refusals)
+        throw Ice::PluginInitializationException(
+            __FILE__, __LINE__,
+            "createAxonRefusals needs Ice.Trace.Network=2, without which Ice tells nobody whom it refuses; fix: "
+            "add that line, which fills no log");
+    return new RefusalsPlugin(communicator, std::move(its));
 }

@@ -5,9 +5,9 @@
 #include <IceSSL/IceSSL.h>
 
 #include <mutex>
-#include <string_view>
 #include <utility>
 
+#include "common/refused_connection.hpp"
 #include "transport/ice/ip_layer.hpp"
 
 namespace axon::transport {
@@ -15,32 +15,6 @@ namespace {
 
 namespace watched = Ice::Instrumentation;
 using Told = std::function<void(const std::string&, const std::string&, const std::string&)>;
-
-/// By the names of Ice's exceptions.
-struct Reason {
-    std::string_view exception;
-    const char* means;
-};
-constexpr Reason kReasons[] = {
-    {"::Ice::BadMagicException", "it does not speak Ice's protocol"},
-    {"::Ice::UnsupportedProtocolException", "it speaks another version of Ice's protocol"},
-    {"::Ice::UnsupportedEncodingException", "it uses another version of Ice's encoding"},
-    {"::Ice::UnknownMessageException", "it sent a message of a kind that Ice does not have"},
-    {"::Ice::ConnectionNotValidatedException", "it sent a message before the connection was set up"},
-    {"::Ice::UnknownRequestIdException", "it answered a call that nobody made"},
-    {"::Ice::UnknownReplyStatusException", "it sent an answer of a kind that Ice does not have"},
-    {"::Ice::IllegalMessageSizeException", "it announced a message of an impossible size"},
-    {"::Ice::MemoryLimitException", "it announced a message that is larger than this port takes"},
-    {"::Ice::CompressionException", "it sent a message that cannot be decompressed"},
-    {"::Ice::FeatureNotSupportedException", "it sent a message that is compressed"},
-    {"::Ice::UnmarshalOutOfBoundsException", "it sent a message that is cut off"},
-    {"::Ice::MarshalException", "it sent a message that cannot be read"},
-    {"::Ice::EncapsulationException", "it sent a message that cannot be read"},
-    {"::Ice::ProxyUnmarshalException", "it sent a message that cannot be read"},
-    {"::Ice::StringConversionException", "it sent a message that cannot be read"},
-    {"::Ice::IllegalIdentityException", "it called an object without a name"},
-    {"::Ice::ProtocolException", "it does not speak the protocol of this port"},
-};
 
 struct Where {
     std::string peer, adapter;
@@ -115,15 +89,14 @@ class Strangers final : public watched::CommunicatorObserver, public std::enable
     }
     void failed(const Where& where, const std::string& exception) const {
         if (where.in_handshake) return;
-        for (const auto& [name, means] : kReasons) {
-            if (name != exception) continue;
-            Told told;
-            {
-                const std::lock_guard lock(mutex_);
-                told = told_;
-            }
-            if (told) told(where.peer, where.adapter, means);
+        const auto* const means = meaningOfProtocolError(exception);
+        if (means == nullptr) return;
+        Told told;
+        {
+            const std::lock_guard lock(mutex_);
+            told = told_;
         }
+        if (told) told(where.peer, where.adapter, means);
     }
 
   private:

@@ -13,6 +13,7 @@
 #include "certificates/certificate.hpp"
 #include "certificates/folder.hpp"
 #include "common/rate_limit.hpp"
+#include "common/refused_connection.hpp"
 #include "transport/ice/ip_layer.hpp"
 
 namespace axon::transport {
@@ -49,59 +50,6 @@ std::optional<PeerCertificate> contentOf(const IceSSL::ConnectionInfo& info) {
     }
 }
 
-/// What OpenSSL says, for a person.
-struct Reason {
-    const char* said;
-    const char* means;
-};
-constexpr Reason kReasons[] = {
-    {"CRL has expired",
-     "the revocation list of this program has ended (axon certs revoke without a name makes it valid again; "
-     "copy it here and restart this program)"},
-    {"CRL is not yet valid",
-     "the revocation list of this program is not yet valid (compare the clocks of the two machines)"},
-    {"unable to get certificate CRL",
-     "there is no revocation list of its CA here (IceSSL.CertificateRevocationListFiles; axon certs revoke "
-     "makes one)"},
-    {"expired", "the certificate has expired (axon certs issue … --force makes a new one)"},
-    {"not yet valid", "the certificate is not yet valid (compare the clocks of the two machines)"},
-    {"ostname mismatch", "the certificate is for other names"},
-    {"P address mismatch", "the certificate is for other addresses"},
-    {"revoked", "the certificate has been revoked"},
-    {"peer did not return a certificate", "no certificate was shown (axon certs issue makes one)"},
-    {"unsupported certificate purpose", "the certificate is of another kind"},
-    {"unsuitable certificate purpose", "the certificate is of another kind"},
-    {"self signed", "the certificate is of another CA"},
-    {"self-signed", "the certificate is of another CA"},
-    {"unable to get local issuer", "the certificate is of another CA"},
-    {"unable to verify the first certificate", "the certificate is of another CA"},
-    {"certificate signature failure", "the certificate is of another CA"},
-    {"certificate verify failed", "the certificate is not one of this laboratory's CA"},
-    {"unknown ca", "the certificate is of another CA"},
-};
-
-/// IceSSL 3.7.8 loses what OpenSSL says of a handshake in which no certificate came.
-constexpr const char* kWithoutReason =
-    "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3";
-
-/// The same at a port that asks for no certificate.
-constexpr const char* kNoTls = "the peer does not speak TLS 1.3";
-
-const char* meaningOf(const std::string& said) {
-    for (const auto& reason : kReasons)
-        if (said.find(reason.said) != std::string::npos) return reason.means;
-    return nullptr;
-}
-
-/// "10.0.0.7:50122" of a line "remote address = …", and of "local address = …".
-std::string addressIn(const std::string& message, const std::string& side) {
-    const auto before = side + " address = ";
-    const auto at = message.find(before);
-    if (at == std::string::npos) return "an unknown address";
-    const auto begin = at + before.size();
-    return message.substr(begin, message.find('\n', begin) - begin);
-}
-
 /// What IceSSL says where the verifier of ours has refused, which has told why itself.
 constexpr const char* kRefusedByUs = "rejected by certificate verifier";
 
@@ -124,10 +72,8 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     void print(const std::string& message) override { log()->info("{}", onOneLine(message)); }
     void trace(const std::string& category, const std::string& message) override {
         // A WebSocket that is not opened as it should is no matter of TLS (onBrokenProtocol()).
-        if (message.rfind("failed to accept ssl connection", 0) == 0 ||
-            (message.rfind("failed to accept wss connection", 0) == 0 &&
-             message.find("SSL") != std::string::npos)) {
-            refused(message);
+        if (const auto its = refusedConnection(message); its && its->at == RefusedAt::TlsHandshake) {
+            refused(*its);
         } else if (all_) {
             log()->info("{}: {}", category, onOneLine(message));
         }
@@ -144,26 +90,16 @@ class TlsLog final : public Ice::Logger, public std::enable_shared_from_this<Tls
     }
 
   private:
-    void refused(const std::string& message) {
-        if (message.find(kRefusedByUs) != std::string::npos) return;
-        const auto* means = meaningOf(message);
-        if (means == nullptr) means = message.rfind("failed to accept wss", 0) == 0 ? kNoTls : kWithoutReason;
-        const auto peer = addressIn(message, "remote");
+    void refused(const RefusedConnection& its) {
+        if (its.said.find(kRefusedByUs) != std::string::npos) return;
         if (limit_.admit(clock_.now()))
-            log()->warn("TLS: a connection from {} was refused: {} ({})", peer, means, said(message));
+            log()->warn("TLS: a connection from {} was refused: {} ({})", its.peer, its.why, its.said);
         Refused tell;
         {
             const std::lock_guard lock(mutex_);
             tell = refused_;
         }
-        if (tell) tell(peer, addressIn(message, "local"), means);
-    }
-    /// Without file, line and addresses.
-    static std::string said(const std::string& message) {
-        constexpr std::string_view kBefore = "exception: ";
-        const auto at = message.find(kBefore);
-        auto text = at == std::string::npos ? message : message.substr(at + kBefore.size());
-        return onOneLine(text.substr(0, text.find("\nlocal address")));
+        if (tell) tell(its.peer, its.local, its.why);
     }
 
     const bool all_;
@@ -324,7 +260,7 @@ void onRefused(const std::shared_ptr<Ice::Communicator>& communicator,
 
 std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_up) {
     const auto refused = [](const std::string& said) {
-        const auto* means = meaningOf(said);
+        const auto* means = meaningOfTlsError(said);
         return Refusal{RefusalCode::PermissionDenied,
                        std::string("the server's certificate is not accepted: ") +
                            (means != nullptr ? means : onOneLine(said).c_str()) +
@@ -338,7 +274,7 @@ std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_
         return refused(security.reason);
     } catch (const Ice::ProtocolException& protocol) {
         if (protocol.reason.find("SSL") == std::string::npos) return std::nullopt;
-        if (protocol.reason.find("alert") == std::string::npos && meaningOf(protocol.reason) != nullptr)
+        if (protocol.reason.find("alert") == std::string::npos && meaningOfTlsError(protocol.reason) != nullptr)
             return refused(protocol.reason);
         // IceSSL 3.7.8 loses what OpenSSL says of it.
         if (protocol.reason.find("new outgoing connection") != std::string::npos)
