@@ -379,6 +379,22 @@ while read -r stem; do : >"$CERTS/$stem.cert.pem"; : >"$CERTS/$stem.key.pem"; do
             self.assertEqual(self.value(file, "Axon.Audit.Folder"), f"{self.plan.folder}/audit")
         self.assertIn("hall.example/audit", hosts.folders(self.plan))
 
+    def test_every_program_of_ice_records_whom_it_refuses_in_a_trail_of_its_own(self):
+        guard = f'"{PLACE.guard()[0]}:createAxon'
+        found = {}
+        for file in self.files:
+            if name := self.value(file, "Axon.Audit.Name"):
+                machine = file.partition("/")[0]
+                found.setdefault(machine, []).append(name)
+                self.assertEqual(self.value(file, "Axon.Audit.Folder"), f"{self.plan.folder}/audit")
+                self.assertEqual(self.value(file, "Ice.Trace.Network"), "2", file)
+                router = "glacier2" in file
+                self.assertEqual(self.value(file, "Ice.Plugin.AxonRouterGuard"), f'{guard}RouterGuard"' if router else None)
+                self.assertEqual(self.value(file, "Ice.Plugin.AxonRefusals"), None if router else f'{guard}Refusals"')
+        self.assertEqual({machine: sorted(names) for machine, names in found.items()},
+                         {"lab.example": ["client-router", "icegridnode", "icegridregistry", "icestorm1", "icestorm2"],
+                          "hall.example": ["entity-router", "icegridnode", "icestorm3"]})
+
     def test_each_node_starts_what_the_file_says(self):
         application = ElementTree.fromstring(self.files["lab.example/icegrid.xml"]).find("application")
         self.assertEqual({node.get("name"): [(one.get("template"), one.get("number")) for one in node.iter("server-instance")]
@@ -578,7 +594,11 @@ class Folder(unittest.TestCase):
 
     def test_routers_get_the_plug_in_that_lies_beside_the_programs(self):
         self.cluster.prepare({"base_port": 0})
+        self.assertEqual(self.cluster.told("icestorm.cfg", "Ice.Plugin.AxonRefusals"),
+                         f'"{self.guard.parent}/axonrouterguard:createAxonRefusals"')
+        self.assertIsNone(self.cluster.told("icestorm.cfg", "Axon.Audit.Folder"), "the servers have no trail either")
         for router in ("glacier2clients.cfg", "glacier2entities.cfg"):
+            self.assertEqual(self.cluster.told(router, "Ice.Trace.Network"), "2")
             self.assertEqual(self.cluster.told(router, "Ice.Plugin.AxonRouterGuard"),
                              f'"{self.guard.parent}/axonrouterguard:createAxonRouterGuard"')
         self.guard.unlink()

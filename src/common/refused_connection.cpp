@@ -110,9 +110,10 @@ std::string onOneLine(std::string exception) {
 /// Of a connection that was not accepted.
 void explainNotAccepted(RefusedConnection& its, const std::string& type, const std::string& name,
                         const std::string& exception) {
-    const bool tls = type == "ssl" || (type == "wss" && (name == "::Ice::SecurityException" ||
-                                                         exception.find("SSL") != std::string::npos));
-    its.at = tls                              ? RefusedAt::TlsHandshake
+    const bool tls =
+        type == "ssl" ||
+        (type == "wss" && (name == "::Ice::SecurityException" || exception.find("SSL") != std::string::npos));
+    its.at = tls                             ? RefusedAt::TlsHandshake
              : type == "ws" || type == "wss" ? RefusedAt::WebSocket
                                              : RefusedAt::Protocol;
     if (name == "::Ice::ConnectTimeoutException") {

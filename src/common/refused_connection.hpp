@@ -7,8 +7,8 @@
 
 #include "common/refusal.hpp"
 
-// What Ice says of incoming connections that it does not accept or closes, for people. Ice tells nobody but its
-// traces (category "Network", with Ice.Trace.Network=2). Uses no Ice. All functions are pure.
+// What Ice says of incoming connections that it does not accept or closes, for people. Ice tells nobody but
+// its traces (category "Network", with Ice.Trace.Network=2). Uses no Ice. All functions are pure.
 namespace axon {
 
 enum class RefusedAt : std::uint8_t {
@@ -42,8 +42,8 @@ std::string_view portIn(std::string_view address);
 /// What OpenSSL or IceSSL says of a certificate, for people; null for what is not known.
 const char* meaningOfTlsError(std::string_view said);
 
-/// Why Ice closed a connection with this exception ("::Ice::BadMagicException"), for people; null where that is
-/// not because its peer does not keep to the protocol.
+/// Why Ice closed a connection with this exception ("::Ice::BadMagicException"), for people; null where that
+/// is not because its peer does not keep to the protocol.
 const char* meaningOfProtocolError(std::string_view exception);
 
 }  // namespace axon

@@ -62,10 +62,10 @@ TEST(RefusedConnection, TheReasonIsThatOfTheCertificate) {
               "the certificate has expired (axon certs issue … --force makes a new one)");
     EXPECT_EQ(whyOf(notAccepted(verification("certificate is not yet valid"))),
               "the certificate is not yet valid (compare the clocks of the two machines)");
-    EXPECT_EQ(whyOf(notAccepted(
-                  "src/IceSSL/SSLEngine.cpp:259: ::Ice::SecurityException:\nsecurity exception:\n"
-                  "incoming connection rejected by trust manager")),
-              "the certificate is of another kind than this port takes");
+    EXPECT_EQ(
+        whyOf(notAccepted("src/IceSSL/SSLEngine.cpp:259: ::Ice::SecurityException:\nsecurity exception:\n"
+                          "incoming connection rejected by trust manager")),
+        "the certificate is of another kind than this port takes");
 }
 
 TEST(RefusedConnection, WhereIceLosesTheReasonBothAreNamed) {
@@ -114,15 +114,17 @@ TEST(RefusedConnection, WhatIsNotIceIsRefusedAfterTheConnectionWasAccepted) {
                            "protocol error: unsupported protocol version: 9.0\n"
                            "(can only support protocols compatible with version 1.0)")),
               "it speaks another version of Ice's protocol");
-    EXPECT_EQ(whyOf(closed("src/Ice/ConnectionI.cpp:1698: ::Ice::MemoryLimitException:\n"
-                           "protocol error: memory limit exceeded:\n"
-                           "requested 268435456 bytes, maximum allowed is 4096 bytes (see Ice.MessageSizeMax)")),
-              "it announced a message that is larger than this port takes");
+    EXPECT_EQ(
+        whyOf(closed("src/Ice/ConnectionI.cpp:1698: ::Ice::MemoryLimitException:\n"
+                     "protocol error: memory limit exceeded:\n"
+                     "requested 268435456 bytes, maximum allowed is 4096 bytes (see Ice.MessageSizeMax)")),
+        "it announced a message that is larger than this port takes");
 }
 
 TEST(RefusedConnection, AConnectionThatItsPeerHasEndedIsNotRefused) {
     const std::string zero = "405: ::Ice::ConnectionLostException:\nconnection lost: recv() returned zero";
-    const std::string reset = "265: ::Ice::ConnectionLostException:\nconnection lost: Connection reset by peer";
+    const std::string reset =
+        "265: ::Ice::ConnectionLostException:\nconnection lost: Connection reset by peer";
     EXPECT_EQ(whyOf(notAccepted("src/IceSSL/OpenSSLTransceiverI.cpp:" + zero)), "not refused");
     EXPECT_EQ(whyOf(closed("src/Ice/StreamSocket.cpp:" + reset)), "not refused");
     EXPECT_EQ(whyOf("closed tcp connection" + kAddresses), "not refused");
@@ -130,13 +132,12 @@ TEST(RefusedConnection, AConnectionThatItsPeerHasEndedIsNotRefused) {
 
 TEST(RefusedConnection, OtherMessagesAreNoRefusals) {
     for (const std::string& trace : std::vector<std::string>{
-                              "trying to accept ssl connection" + kAddresses,
-                              "accepted tcp connection" + kAddresses,
-                              "failed to establish ssl connection" + kAddresses + "\n" + kTooLate,
-                              "wss connection HTTP upgrade request failed" + kAddresses + "\n" + kBadUpgrade,
-                              closed("x.cpp:1: ::Ice::ObjectNotExistException:\nobject does not exist"),
-                              "listening for ssl connections\nlocal address = 127.0.0.1:10414",
-                              "failed to accept connection", "closed connection", "failed to accept ", ""})
+             "trying to accept ssl connection" + kAddresses, "accepted tcp connection" + kAddresses,
+             "failed to establish ssl connection" + kAddresses + "\n" + kTooLate,
+             "wss connection HTTP upgrade request failed" + kAddresses + "\n" + kBadUpgrade,
+             closed("x.cpp:1: ::Ice::ObjectNotExistException:\nobject does not exist"),
+             "listening for ssl connections\nlocal address = 127.0.0.1:10414", "failed to accept connection",
+             "closed connection", "failed to accept ", ""})
         EXPECT_FALSE(refusedConnection(trace)) << trace;
 }
 
@@ -155,7 +156,8 @@ TEST(RefusedConnection, AMessageThatIsCutOffIsReadAsFarAsItGoes) {
 }
 
 TEST(RefusedConnection, IceSaysWhereItListens) {
-    EXPECT_EQ(listeningAt("listening for ssl connections\nlocal address = 127.0.0.1:10414"), "127.0.0.1:10414");
+    EXPECT_EQ(listeningAt("listening for ssl connections\nlocal address = 127.0.0.1:10414"),
+              "127.0.0.1:10414");
     EXPECT_EQ(listeningAt("listening for tcp connections\nlocal address = [::1]:10414"), "[::1]:10414");
     EXPECT_FALSE(listeningAt("listening for ssl connections"));
     EXPECT_FALSE(listeningAt("accepted ssl connection" + kAddresses));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What programs of Ice's call: glacier2router with Ice.Plugin.AxonRouterGuard=FOLDER/axonrouterguard:createAxonRouterGuard,
-// and those that are no routers with Ice.Plugin.AxonRefusals=FOLDER/axonrouterguard:createAxonRefusals.
+// What programs of Ice's call: glacier2router with
+// Ice.Plugin.AxonRouterGuard=FOLDER/axonrouterguard:createAxonRouterGuard, and those that are no routers with
+// Ice.Plugin.AxonRefusals=FOLDER/axonrouterguard:createAxonRefusals.
 #include <Ice/LoggerUtil.h>
 
 #include <utility>
@@ -61,9 +62,9 @@ extern "C" ICE_DECLSPEC_EXPORT Ice::Plugin* createAxonRefusals(const Ice::Commun
                                                                const Ice::StringSeq& /*arguments*/) {
     auto its = axon::router_guard::watchRefusals(communicator);
     if (!its.refusals)
-        throw Ice::PluginInitializationException(
-            __FILE__, __LINE__,
-            "createAxonRefusals needs Ice.Trace.Network=2, without which Ice tells nobody whom it refuses; fix: "
-            "add that line, which fills no log");
+        throw Ice::PluginInitializationException(__FILE__, __LINE__,
+                                                 "createAxonRefusals needs Ice.Trace.Network=2, without "
+                                                 "which Ice tells nobody whom it refuses; fix: "
+                                                 "add that line, which fills no log");
     return new RefusalsPlugin(communicator, std::move(its));
 }

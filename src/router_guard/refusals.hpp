@@ -21,8 +21,8 @@ class Refusals {
     /// `trail`: null to say it only. `clock` outlives this.
     Refusals(std::unique_ptr<audit::AuditTrail> trail, const Clock& clock, Say say);
 
-    /// One message of the traces of category "Network". It has to see those from the beginning on, as they say
-    /// which ports are the program's.
+    /// One message of the traces of category "Network". It has to see those from the beginning on, as they
+    /// say which ports are the program's.
     void onTrace(const std::string& trace);
 
     /// Ends the trail, which writes what waits. Later refusals are said only.

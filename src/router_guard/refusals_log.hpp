@@ -9,9 +9,9 @@
 
 namespace axon::router_guard {
 
-/// The logger of a program of Ice's. Passes everything on to the one that it had before, but traces of category
-/// "Network" go to Refusals, and on only from Ice.Trace.Network=3 on, as 2 is what Refusals needs. Threads: any.
-/// Written for the C++98 mapping of Ice.
+/// The logger of a program of Ice's. Passes everything on to the one that it had before, but traces of
+/// category "Network" go to Refusals, and on only from Ice.Trace.Network=3 on, as 2 is what Refusals needs.
+/// Threads: any. Written for the C++98 mapping of Ice.
 class RefusalsLog final : public Ice::Logger {
   public:
     RefusalsLog(Ice::LoggerPtr before, std::shared_ptr<Refusals> refusals, bool pass_on);

@@ -179,8 +179,9 @@ TEST(RefusalsLog, ATrailThatCannotBeKeptEndsTheStart) {
     const auto refused = [](const std::map<std::string, std::string>& properties) {
         return Program(properties).refused();
     };
-    EXPECT_THAT(refused({{"Axon.Audit.Folder", folder.path.string()}}),
-                HasSubstr("but not Ice.Trace.Network=2, without which Ice tells nobody whom it refuses; fix:"));
+    EXPECT_THAT(
+        refused({{"Axon.Audit.Folder", folder.path.string()}}),
+        HasSubstr("but not Ice.Trace.Network=2, without which Ice tells nobody whom it refuses; fix:"));
     EXPECT_THAT(refused({{"Ice.Trace.Network", "2"}, {"Axon.Audit.Folder", "/dev/null/audit"}}),
                 HasSubstr("cannot be kept in '/dev/null/audit'"));
     EXPECT_THAT(refused({{"Ice.Trace.Network", "2"}, {"Axon.Audit.Floder", "x"}}),
@@ -199,9 +200,8 @@ TEST(RefusalsLog, TwoProgramsOfTheSameNameDoNotShareATrail) {
                                                   {"Axon.Audit.Folder", folder.path.string()}};
     const Program first(same);
     const auto its = first.watched();
-    EXPECT_THAT(Program(same).refused(),
-                HasSubstr("the audit trail 'glacier2router' in '" + folder.path.string() +
-                          "' is another process's"));
+    EXPECT_THAT(Program(same).refused(), HasSubstr("the audit trail 'glacier2router' in '" +
+                                                   folder.path.string() + "' is another process's"));
     auto other = same;
     other["Axon.Audit.Name"] = "second";
     EXPECT_EQ(Program(other).refused(), "it starts");

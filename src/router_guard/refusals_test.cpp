@@ -32,13 +32,15 @@ class Passed final : public audit::AuditTrail {
 };
 
 struct RefusalsTest : testing::Test {
-    static std::string trace(const std::string& what, const std::string& local, const std::string& exception) {
+    static std::string trace(const std::string& what, const std::string& local,
+                             const std::string& exception) {
         return what + "\nlocal address = " + local + "\nremote address = 10.0.0.7:50122\n" + exception;
     }
     static std::string foreign() {
-        return trace("failed to accept ssl connection", "10.0.0.1:10414",
-                     "src/IceSSL/OpenSSLTransceiverI.cpp:444: ::Ice::SecurityException:\nsecurity exception:\n"
-                     "IceSSL: certificate verification failed:\nunable to verify the first certificate");
+        return trace(
+            "failed to accept ssl connection", "10.0.0.1:10414",
+            "src/IceSSL/OpenSSLTransceiverI.cpp:444: ::Ice::SecurityException:\nsecurity exception:\n"
+            "IceSSL: certificate verification failed:\nunable to verify the first certificate");
     }
     static std::string badMagic(const std::string& local) {
         return trace("closed tcp connection", local,
@@ -56,13 +58,15 @@ struct RefusalsTest : testing::Test {
 
 TEST_F(RefusalsTest, AHandshakeThatIsRefusedIsRecordedAndSaid) {
     refusals.onTrace(foreign());
-    EXPECT_THAT(audit.notes(),
-                ElementsAre("@10.0.0.7:50122|refusal||||a TLS handshake at 10.0.0.1:10414: the certificate is "
-                            "of another CA|PERMISSION_DENIED"));
-    EXPECT_THAT(said, ElementsAre("audit: a connection from 10.0.0.7:50122 was refused: a TLS handshake at "
-                                  "10.0.0.1:10414: the certificate is of another CA (::Ice::SecurityException: "
-                                  "security exception: IceSSL: certificate verification failed: unable to "
-                                  "verify the first certificate)"));
+    EXPECT_THAT(
+        audit.notes(),
+        ElementsAre("@10.0.0.7:50122|refusal||||a TLS handshake at 10.0.0.1:10414: the certificate is "
+                    "of another CA|PERMISSION_DENIED"));
+    EXPECT_THAT(said,
+                ElementsAre("audit: a connection from 10.0.0.7:50122 was refused: a TLS handshake at "
+                            "10.0.0.1:10414: the certificate is of another CA (::Ice::SecurityException: "
+                            "security exception: IceSSL: certificate verification failed: unable to "
+                            "verify the first certificate)"));
 }
 
 TEST_F(RefusalsTest, WhatIsNotIceIsRecordedAtItsOwnPortsOnly) {
@@ -71,16 +75,18 @@ TEST_F(RefusalsTest, WhatIsNotIceIsRecordedAtItsOwnPortsOnly) {
     EXPECT_THAT(audit.notes(), SizeIs(0));
     EXPECT_THAT(said, SizeIs(0));
     refusals.onTrace(badMagic("10.0.0.1:10414"));
-    EXPECT_THAT(audit.notes(), ElementsAre("@10.0.0.7:50122|refusal||||a connection to 10.0.0.1:10414: it does "
-                                           "not speak Ice's protocol|MALFORMED"));
+    EXPECT_THAT(audit.notes(),
+                ElementsAre("@10.0.0.7:50122|refusal||||a connection to 10.0.0.1:10414: it does "
+                            "not speak Ice's protocol|MALFORMED"));
     EXPECT_THAT(said, SizeIs(1));
 }
 
 TEST_F(RefusalsTest, WhatRefusesNobodyIsNeitherRecordedNorSaid) {
     refusals.onTrace("listening for tcp connections\nlocal address = 0.0.0.0:10414");
     refusals.onTrace(trace("accepted tcp connection", "10.0.0.1:10414", ""));
-    refusals.onTrace(trace("closed tcp connection", "10.0.0.1:10414",
-                           "x.cpp:1: ::Ice::ConnectionLostException:\nconnection lost: recv() returned zero"));
+    refusals.onTrace(
+        trace("closed tcp connection", "10.0.0.1:10414",
+              "x.cpp:1: ::Ice::ConnectionLostException:\nconnection lost: recv() returned zero"));
     refusals.onTrace("");
     EXPECT_THAT(audit.notes(), SizeIs(0));
     EXPECT_THAT(said, SizeIs(0));

@@ -274,7 +274,8 @@ std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_
         return refused(security.reason);
     } catch (const Ice::ProtocolException& protocol) {
         if (protocol.reason.find("SSL") == std::string::npos) return std::nullopt;
-        if (protocol.reason.find("alert") == std::string::npos && meaningOfTlsError(protocol.reason) != nullptr)
+        if (protocol.reason.find("alert") == std::string::npos &&
+            meaningOfTlsError(protocol.reason) != nullptr)
             return refused(protocol.reason);
         // IceSSL 3.7.8 loses what OpenSSL says of it.
         if (protocol.reason.find("new outgoing connection") != std::string::npos)
