@@ -485,12 +485,15 @@ void EntityServerCore::entityServersLost(const std::vector<std::string>& names) 
 /// `send` returns whether the outbox took it. All that take it first: no entity's stop waits for others'
 /// refusals.
 template <class Send>
-void EntityServerCore::toEntities(const Header& head, Send&& send) {
+bool EntityServerCore::toEntities(const Header& head, Send&& send) {
     if (!head.entity.empty()) {
         const auto entity = table_.find(head.entity, kSignal);
-        if (!entity) return undelivered_.unknown(Lane::Signal, head);
+        if (!entity) {
+            undelivered_.unknown(Lane::Signal, head);
+            return false;
+        }
         if (!send(*entity->signal)) undelivered_.slow(Lane::Signal, head);
-        return;
+        return true;
     }
     std::vector<std::string> slow;
     table_.each(
@@ -499,6 +502,7 @@ void EntityServerCore::toEntities(const Header& head, Send&& send) {
         },
         kSignal);
     undelivered_.slow(head, slow);
+    return true;
 }
 
 void EntityServerCore::clientUpdate(const Header& head, ClientChange change) {
@@ -506,9 +510,10 @@ void EntityServerCore::clientUpdate(const Header& head, ClientChange change) {
 }
 
 void EntityServerCore::stopSignal(const Header& head, StopCause cause) {
-    toEntities(head, [&](EntityOutbox& entity) { return entity.stopSignal(head, cause); });
+    const bool passed =
+        toEntities(head, [&](EntityOutbox& entity) { return entity.stopSignal(head, cause); });
     // What the only front-end server passes on, it has recorded beside this one.
-    if (!alone()) audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, 0);
+    if (passed && !alone()) audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, 0);
 }
 
 // All that are there first: no entity's stop waits for the refusals of those that are not.
@@ -529,17 +534,18 @@ void EntityServerCore::stopSignals(const Header& head, const std::vector<std::st
         refused.entity = entity->substr(0, 64);
         undelivered_.unknown(Lane::Signal, refused);
     }
-    if (!alone()) audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, entities.size());
+    if (unknown.size() < entities.size() && !alone())
+        audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, entities.size());
 }
 
 void EntityServerCore::resetSignal(const Header& head) {
-    toEntities(head, [&](EntityOutbox& entity) { return entity.resetSignal(head); });
-    if (!alone()) audit_.signal("reset", head, 0);
+    const bool passed = toEntities(head, [&](EntityOutbox& entity) { return entity.resetSignal(head); });
+    if (passed && !alone()) audit_.signal("reset", head, 0);
 }
 
 void EntityServerCore::clearSignal(const Header& head) {
-    toEntities(head, [&](EntityOutbox& entity) { return entity.clearSignal(head); });
-    if (!alone()) audit_.signal("clear", head, 0);
+    const bool passed = toEntities(head, [&](EntityOutbox& entity) { return entity.clearSignal(head); });
+    if (passed && !alone()) audit_.signal("clear", head, 0);
 }
 
 TimePoint EntityServerCore::onTimer() {

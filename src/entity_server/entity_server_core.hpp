@@ -154,8 +154,9 @@ class EntityServerCore {
     std::vector<std::string> margins() const;
 
   private:
+    /// Whether it was passed on, and not to be refused as one to nobody.
     template <class Send>
-    void toEntities(const Header& head, Send&& send);
+    bool toEntities(const Header& head, Send&& send);
     bool flooded(const SessionRef& session);
     TimePoint onDrillTimer();
     bool isUser(const Session& session) const;

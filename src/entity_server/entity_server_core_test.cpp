@@ -1019,6 +1019,24 @@ TEST_F(OneOfSeveral, RecordsCommandsThatPassItAsItDoesStops) {
     EXPECT_EQ(trail.notes().size(), before + 1);
 }
 
+TEST_F(OneOfSeveral, RecordsTheSignalsThatItPassesOnAndNotThoseForEntitiesElsewhere) {
+    join(kFirst);
+    const auto before = trail.notes().size();
+    auto its = head(kFirst, "c1");
+    core.stopSignal(its, StopCause::Requested);
+    core.resetSignal(its);
+    core.clearSignal(its);
+    core.stopSignals(its, {kFirst, kSecond}, StopCause::Requested);
+    EXPECT_EQ(trail.notes().size(), before + 4);
+    its.entity = kSecond;
+    core.stopSignal(its, StopCause::Requested);
+    core.resetSignal(its);
+    core.clearSignal(its);
+    its.entity.clear();
+    core.stopSignals(its, {kSecond}, StopCause::Requested);
+    EXPECT_EQ(trail.notes().size(), before + 4);
+}
+
 TEST_F(OneOfSeveral, AGrantToAClientOfAServerThatIsGoneIsTakenBackAtOnce) {
     const auto peer = join(kFirst);
     announce(Lane::Signal, "fe1");

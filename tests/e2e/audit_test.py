@@ -150,7 +150,9 @@ class AuditTest(unittest.TestCase):
         passed_on = [line for line in stops if line["trail"].startswith("axon-server-es")]
         asked_for = [line for line in stops if line not in passed_on]
         self.assertEqual(len(asked_for), count, stops)
-        self.assertEqual(bool(passed_on), self.lab.behind_routers, stops)
+        servers = len({line["trail"] for line in passed_on})  # the entity's, which may be another after a kill
+        self.assertLessEqual(int(self.lab.behind_routers), servers, stops)
+        self.assertLessEqual(servers, count if self.lab.behind_routers else 0, stops)
         return stops
 
     def expected_peers(self):
