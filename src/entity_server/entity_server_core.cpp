@@ -535,7 +535,7 @@ void EntityServerCore::stopSignals(const Header& head, const std::vector<std::st
         undelivered_.unknown(Lane::Signal, refused);
     }
     if (unknown.size() < entities.size() && !alone())
-        audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, entities.size());
+        audit_.signal(cause == StopCause::Drill ? "drill" : "stop", head, entities.size() - unknown.size());
 }
 
 void EntityServerCore::resetSignal(const Header& head) {

@@ -154,7 +154,7 @@ class EntityServerCore {
     std::vector<std::string> margins() const;
 
   private:
-    /// Whether it was passed on, and not to be refused as one to nobody.
+    /// False where `head` names an entity that is not here.
     template <class Send>
     bool toEntities(const Header& head, Send&& send);
     bool flooded(const SessionRef& session);

@@ -1026,8 +1026,10 @@ TEST_F(OneOfSeveral, RecordsTheSignalsThatItPassesOnAndNotThoseForEntitiesElsewh
     core.stopSignal(its, StopCause::Requested);
     core.resetSignal(its);
     core.clearSignal(its);
+    its.entity.clear();
     core.stopSignals(its, {kFirst, kSecond}, StopCause::Requested);
-    EXPECT_EQ(trail.notes().size(), before + 4);
+    ASSERT_EQ(trail.notes().size(), before + 4);
+    EXPECT_EQ(trail.last(), "stop|c1|c1||stop to 1 entities|");
     its.entity = kSecond;
     core.stopSignal(its, StopCause::Requested);
     core.resetSignal(its);

@@ -39,9 +39,11 @@ std::string sessionsOf(const std::string& user, const FrontEndCoreSettings& sett
 
 FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
                            EntityTopic& topic, Note note, Wake wake, GlobalServicesPort* global_services,
-                           audit::AuditTrail* trail, const users::PresentUsers* users)
+                           audit::AuditTrail* trail, const users::PresentUsers* users,
+                           const Clock* machine_time)
     : settings_(settings),
       clock_(clock),
+      machine_time_(machine_time != nullptr ? *machine_time : clock),
       random_(random),
       topic_(topic),
       note_(std::move(note)),
@@ -123,7 +125,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), surplus ? Role::Observer : role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
                                           settings_, clock_.now(), user, share, surplus,
-                                          kStatusesHeld * (clients_.size() % 16) / 16);
+                                          kStatusesHeld * (phases_++ % kPhases) / kPhases);
         if (share) {
             ++share->sessions;
             if (surplus) ++share->surplus;
@@ -163,26 +165,44 @@ Result<FrontEndCore::ClientRef> FrontEndCore::attach(const std::string& token,
     return client;
 }
 
+/// All, or those of these names, that the client may see.
+Entities::Records FrontEndCore::seenBy(const Client& client, const std::vector<std::string>* names) const {
+    Entities::Records now;
+    {
+        const std::lock_guard lock(mutex_);
+        if (names == nullptr) {
+            now = entities_.records();
+        } else {
+            for (const auto& name : *names)
+                if (auto record = entities_.find(name)) now.emplace(name, std::move(record));
+        }
+    }
+    const auto lists = access(Lane::Data);
+    std::erase_if(now, [&](const auto& one) { return !sees(client, *lists, one.second->registration); });
+    return now;
+}
+
 // No lock is held while a client is told, so something may change meanwhile and be told by another thread
 // first. Therefore again, until what was told is what is: the last word about each entity is then the true
 // one.
-std::size_t FrontEndCore::pushAll(const Client& client, Entities::Records told) {
+std::size_t FrontEndCore::pushAll(const Client& client, Entities::Records told,
+                                  const std::vector<std::string>* names) {
     auto& to = *client.data;
     while (true) {
-        Entities::Records now;
-        {
-            const std::lock_guard lock(mutex_);
-            now = entities_.records();
-        }
-        const auto lists = access(Lane::Data);
-        std::erase_if(now, [&](const auto& one) { return !sees(client, *lists, one.second->registration); });
+        auto now = seenBy(client, names);
         bool changed = false;
         for (const auto& [entity, record] : now) {
             const auto before = told.find(entity);
-            if (before != told.end() && before->second == record) continue;
+            bool known = before != told.end();
+            if (known && before->second == record) continue;
             changed = true;
-            to.newBasicPrflMsg(before == told.end() ? Presence::Joined : Presence::Changed,
-                               record->registration, *record->profile);
+            // It has left and joined since: the client is to forget the status that it was told.
+            if (known && before->second->heard && !record->heard) {
+                to.newBasicPrflMsg(Presence::Left, before->second->registration, {});
+                known = false;
+            }
+            to.newBasicPrflMsg(known ? Presence::Changed : Presence::Joined, record->registration,
+                               *record->profile);
             if (record->heard) to.newStatusMsg(record->status);
         }
         for (const auto& [entity, record] : told) {
@@ -774,7 +794,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     std::string entity, doubted;
     Registration registration;  // as far as lists ask for it
     bool passed = false;        // to another holder, or to none
-    std::string holder_before;
+    Before known;
     Barred barred;
     {
         const std::lock_guard lock(mutex_);
@@ -786,7 +806,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
         const auto& before = record_before->status.holder.id;
         const auto& holder = status.holder.id;
         passed = before != holder;
-        holder_before = before;
+        known = {before, record_before->status.state == EntityState::BUSY, record_before->heard};
         if (passed) letGo(before, entity);
         if (!holder.empty()) {
             if (const auto client = clients_.find(holder)) {
@@ -818,26 +838,29 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the
     // newest.
     while (true) {
-        tellStatus(registration, status, holder_before);
+        tellStatus(registration, status, known);
         if (number == 0) return;
         const std::lock_guard lock(mutex_);
         const auto newest = entities_.find(entity);
         if (!newest || newest->number <= number) return;
+        known = {status.holder.id, status.state == EntityState::BUSY, true};
         status = newest->status;
         number = newest->number;
     }
 }
 
-/// At once whom it concerns: who holds the entity, or did. Others, too, unless many statuses change.
+/// The holder and the one before are told at once, and everybody of what a watchdog or a resumption waits
+/// for.
 void FrontEndCore::tellStatus(const Registration& registration, const EntityStatus& status,
-                              const std::string& holder_before) {
+                              const Before& before) {
     const auto lists = access(Lane::Data);
+    const bool urgent = !before.heard || (status.state == EntityState::BUSY && !before.busy);
     bool first = false;
     clients_.to(Lane::Data, {}, [&](Client& client, ClientOutbox& outbox) {
         if (!sees(client, *lists, registration)) return;
-        if (client.me.id == status.holder.id || client.me.id == holder_before) {
+        if (urgent || client.me.id == status.holder.id || client.me.id == before.holder) {
             client.statuses.drop(status.entity);
-        } else if (const auto verdict = client.statuses.offer(status.entity, clock_.now());
+        } else if (const auto verdict = client.statuses.offer(status.entity, machine_time_.now());
                    verdict != HeldStatuses::Verdict::Now) {
             first = first || verdict == HeldStatuses::Verdict::First;
             return;
@@ -848,32 +871,18 @@ void FrontEndCore::tellStatus(const Registration& registration, const EntityStat
 }
 
 TimePoint FrontEndCore::tellHeld() {
-    auto next = clock_.now() + std::chrono::hours{1};
-    clients_.each([&](const ClientRef& client) {
-        if (const auto entities = client->statuses.take(clock_.now()); !entities.empty())
-            tellHeld(*client, entities);
-        next = std::min(next, client->statuses.due());
+    auto next = machine_time_.now() + std::chrono::seconds{1};
+    clients_.to(Lane::Data, {}, [&](Client& client, ClientOutbox& outbox) {
+        if (const auto entities = client.statuses.take(machine_time_.now()); !entities.empty()) {
+            auto now = seenBy(client, &entities);
+            for (const auto& entity : entities)
+                if (const auto its = now.find(entity); its != now.end() && its->second->heard)
+                    outbox.newStatusMsg(its->second->status);
+            pushAll(client, std::move(now), &entities);
+        }
+        next = std::min(next, client.statuses.due());
     });
     return next;
-}
-
-/// Until what was told is what is: another thread may have told something newer meanwhile.
-void FrontEndCore::tellHeld(const Client& client, const std::vector<std::string>& entities) {
-    const auto find = [&](const std::string& entity) {
-        const std::lock_guard lock(mutex_);
-        return entities_.find(entity);
-    };
-    const auto lists = access(Lane::Data);
-    for (const auto& entity : entities) {
-        auto record = find(entity);
-        while (record && record->heard && sees(client, *lists, record->registration)) {
-            client.data->newStatusMsg(record->status);
-            auto now = find(entity);
-            if (now == record) break;
-            if (!now) client.data->newBasicPrflMsg(Presence::Left, record->registration, {});
-            record = std::move(now);
-        }
-    }
 }
 
 void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {

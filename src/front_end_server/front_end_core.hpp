@@ -39,7 +39,7 @@ inline constexpr std::size_t kStopsAtOnce = 8192;
 ///
 /// Where in the flow: between the clients (ClientOutbox, ClientSessionServant) and the entity servers
 /// (EntityTopic, EntityToFrontEndServant). An event goes in as one call, effects leave through the ports
-/// before it returns.
+/// before it returns, but for statuses that are held (tellHeld()).
 ///
 /// States of a client: setCallback() ► here ─ attach() ► with two lanes ─ leave() ► gone. Its check-outs are
 /// what entities' statuses say of their holders; a client that goes is stopped for on each of them, even
@@ -62,8 +62,8 @@ inline constexpr std::size_t kStopsAtOnce = 8192;
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
 /// reference; the mutex is taken for joins, statuses, leaves, a client's first check-out of an entity and by
-/// the timer, never by another message, a sign of life or a client's signal. Failure: refusals are sent back;
-/// nothing throws.
+/// the two timers, never by another message, a sign of life or a client's signal. Failure: refusals are sent
+/// back; nothing throws.
 class FrontEndCore {
   public:
     using ClientRef = front_end_server::ClientRef;
@@ -73,10 +73,12 @@ class FrontEndCore {
     enum class Due : std::uint8_t { OnTimer, TellHeld };
     using Wake = std::function<void(Due)>;
 
-    /// `global_services`, `trail`, `users`: null where there are none.
+    /// `global_services`, `trail`, `users`: null where there are none. `machine_time`: of the pace of
+    /// statuses, which goes on where the laboratory's time stands; null: the same clock. All outlive it.
     FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
                  Note note, Wake wake, GlobalServicesPort* global_services = nullptr,
-                 audit::AuditTrail* trail = nullptr, const users::PresentUsers* users = nullptr);
+                 audit::AuditTrail* trail = nullptr, const users::PresentUsers* users = nullptr,
+                 const Clock* machine_time = nullptr);
     ~FrontEndCore();
 
     // From a client.
@@ -147,6 +149,12 @@ class FrontEndCore {
     const FrontEndCoreSettings& settings() const { return settings_; }
 
   private:
+    /// What was known of an entity before its status changed.
+    struct Before {
+        std::string holder;
+        bool busy = false;
+        bool heard = false;  ///< there was a status
+    };
     /// A holder that has not the right, and has to go.
     struct Barred {
         ClientRef client;
@@ -174,7 +182,9 @@ class FrontEndCore {
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
     Result<void> mayGoOn(Client& client, Header& head, std::size_t bytes, bool droppable);
     std::shared_ptr<UserShare> shareOf(const std::string& user);
-    std::size_t pushAll(const Client& client, Entities::Records told = {});
+    Entities::Records seenBy(const Client& client, const std::vector<std::string>* names) const;
+    std::size_t pushAll(const Client& client, Entities::Records told = {},
+                        const std::vector<std::string>* names = nullptr);
     std::shared_ptr<const users::Access> access(Lane lane) const {
         return access_[static_cast<std::size_t>(lane)].load();
     }
@@ -197,9 +207,7 @@ class FrontEndCore {
     void giveUp(const GivenUp& what);
     template <class Send>
     void toThoseWhoSee(const Registration& registration, Send&& send);
-    void tellStatus(const Registration& registration, const EntityStatus& status,
-                    const std::string& holder_before);
-    void tellHeld(const Client& client, const std::vector<std::string>& entities);
+    void tellStatus(const Registration& registration, const EntityStatus& status, const Before& before);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
     void ask(const std::string& server);
@@ -209,6 +217,7 @@ class FrontEndCore {
 
     const FrontEndCoreSettings settings_;
     const Clock& clock_;
+    const Clock& machine_time_;
     RandomSource& random_;
     EntityTopic& topic_;
     const Note note_;
@@ -229,6 +238,8 @@ class FrontEndCore {
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
+    static constexpr std::size_t kPhases = 16;
+    std::size_t phases_ = 0;  // given to clients
     Holdings holdings_;
     GoneClients gone_;
     std::unordered_map<std::string, std::shared_ptr<UserShare>> shares_;  // of users who have a session

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "front_end_server/front_end_server.hpp"
 
-#include <atomic>
 #include <chrono>
 #include <optional>
 
@@ -26,24 +25,22 @@ struct FrontEndServer::Parts {
           core(
               settings.core, its_clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this](FrontEndCore::Due due) { wake(due); }, settings.global_services, settings.audit,
-              settings.users),
+              settings.users, &machine_time),
           rim(core, topic, settings, data, signal, its_clock),
           clock(its_clock),
-          statuses("axon-statuses", Lane::Data, std::chrono::milliseconds{5}, its_clock,
-                   [this] { return core.tellHeld(); }) {
-        statuses_ready = &statuses;
-    }
+          statuses("axon-statuses", Lane::Data, std::chrono::milliseconds{5}, machine_time,
+                   [this] { return core.tellHeld(); }) {}
     void wake(FrontEndCore::Due due) {
         if (due == FrontEndCore::Due::OnTimer) return rim.wake();
-        if (auto* const thread = statuses_ready.load()) thread->wake();
+        statuses.wake();  // it is there before the first client
     }
 
+    const SteadyClock machine_time{};
     IceEntityTopic topic;
     FrontEndCore core;
     transport::ServerRim<ClientSessions> rim;
     const Clock& clock;
     std::optional<transport::SessionDoor<ClientSessions>> browsers;
-    std::atomic<transport::TimerThread*> statuses_ready{nullptr};
     transport::TimerThread statuses;  // destroyed first: it calls the core
 };
 

@@ -62,7 +62,8 @@ struct FrontEndServerSettings {
 };
 
 /// The front-end server on Ice: two adapters, FrontEndServer and FrontEndServerSignal, each with a
-/// communicator and threads of its own; the clients behind them; one timer thread. Thesis: FrontEndServer.
+/// communicator and threads of its own; the clients behind them; two timer threads, of which one tells held
+/// statuses. Thesis: FrontEndServer.
 ///
 /// One of several has two adapters more, FrontEndServerTopic and FrontEndServerTopicSignal, for what comes
 /// from the entity servers.

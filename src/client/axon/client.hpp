@@ -248,7 +248,9 @@ class Client {
     /// Blocks until such an entity is there and ready (and not UNAV, INIT, ENVCONN or ERR), or until `time`
     /// has passed.
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
-    /// Called for entities that are ready. One that becomes ready is reported as joined.
+    /// Called for entities that are ready. One that becomes ready is reported as joined. While many statuses
+    /// change, those of entities that this client does not hold come about 0.1 s later, and what lasted less
+    /// may be missing (ADR 0048).
     void onEntity(std::function<void(Presence, const Entity&)> callback);
     void onConnection(std::function<void(bool connected, const std::string& reason)> callback);
 

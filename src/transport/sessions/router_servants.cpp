@@ -15,6 +15,7 @@
 #include "transport/ice/convert.hpp"
 #include "transport/ice/gate_calls.hpp"
 #include "transport/ice/tls.hpp"
+#include "transport/sessions/router_address.hpp"
 
 namespace axon::transport {
 namespace {
@@ -41,18 +42,6 @@ std::optional<PeerCertificate> certificateIn(const Glacier2::SSLInfo& info) {
     }
 }
 
-/// The other end of the router's connection (Glacier2.AddConnectionContext); empty where it does not say.
-std::string behindRouter(const Ice::Context& context) {
-    const auto address = context.find("_con.remoteAddress"), port = context.find("_con.remotePort");
-    constexpr std::size_t kAddressMax = 64, kPortMax = 5;
-    if (address == context.end() || port == context.end() || address->second.empty() ||
-        address->second.size() > kAddressMax || port->second.size() > kPortMax ||
-        address->second.find_first_not_of("0123456789abcdefABCDEF.:") != std::string::npos ||
-        port->second.find_first_not_of("0123456789") != std::string::npos)
-        return {};
-    return address->second + ":" + port->second;
-}
-
 bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason,
                const Ice::Current& current) {
     if (const auto may = door.routers.admit(current.con); !may) {
@@ -65,7 +54,7 @@ bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason
     auto answered = answer->get_future();
     request.peer = DirectConnection::peerOf(*current.con);
     request.local = DirectConnection::localOf(*current.con);
-    request.behind_router = behindRouter(current.ctx);
+    if (request.behind_router.empty()) request.behind_router = routerAddress(current.ctx);
     door.verify(std::move(request), [answer](Result<LoggedIn> who) { answer->set_value(std::move(who)); });
     const auto who = answered.get();
     if (!who) reason = who.refusal().message;
@@ -167,7 +156,10 @@ bool CertificateVerifierServant::authorize(Glacier2::SSLInfo info, std::string& 
             "issue";
         return false;
     }
-    return mayComeIn(door_, {{}, {}, {}, {}, std::move(certificate)}, reason, current);
+    LoginRequest request;
+    request.certificate = std::move(certificate);
+    request.behind_router = routerAddress(info.remoteHost, std::to_string(info.remotePort));
+    return mayComeIn(door_, std::move(request), reason, current);
 }
 
 std::shared_ptr<Glacier2::SessionPrx> SessionManagerServant::create(

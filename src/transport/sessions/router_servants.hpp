@@ -20,8 +20,8 @@
 // whose threads wait for passwords and for neighbours.
 namespace axon::transport {
 
-/// Request context of Glacier2::Router::createSession, which the router passes on. A client can write
-/// the entries that the router adds (_con.…) as well, so none of them is trusted.
+/// Request context of Glacier2::Router::createSession, which the router passes on. The router adds
+/// the ends of its connection (_con.…), and drops what a client has written there (Glacier2 3.7.8).
 inline constexpr const char* kContextName = "axon-name";  ///< what a client calls itself: client1@host
 inline constexpr const char* kContextToken =
     "axon-token";  ///< this session is the signal lane of the one with it
