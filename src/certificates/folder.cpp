@@ -2,6 +2,7 @@
 #include "certificates/folder.hpp"
 
 #include <fcntl.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -10,6 +11,7 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
+#include <set>
 #include <sstream>
 #include <system_error>
 #include <utility>
@@ -41,47 +43,94 @@ struct NewFile {
 constexpr std::chrono::days kListLongest{3650};
 constexpr const char* kWritable = "name a folder that you may write to: --folder DIR";
 
-/// Beside its place, so that a file is replaced in one step or not at all.
-fs::path aside(const fs::path& path) {
-    return path.string() + ".new";
-}
-
-void writeAside(const NewFile& file) {
-    const auto next = aside(file.path);
-    ::unlink(next.c_str());
-    const Descriptor fd(::open(next.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, file.mode));
-    bool done = fd.get() >= 0 && ::fchmod(fd.get(), file.mode) == 0;
+/// Under a new name beside its place, which is returned.
+fs::path writeAside(const NewFile& file) {
+    auto next = file.path.string() + ".XXXXXX";
+    const Descriptor fd(::mkostemp(next.data(), O_CLOEXEC));
+    bool done = fd.open() && ::fchmod(fd.get(), file.mode) == 0;
     for (std::string_view rest = file.content; done && !rest.empty();) {
         const auto count = ::write(fd.get(), rest.data(), rest.size());
         if (count < 0 && errno == EINTR) continue;
         done = count >= 0;
         if (done) rest.remove_prefix(static_cast<std::size_t>(count));
     }
-    if (!done || ::fsync(fd.get()) != 0)
-        throw Unusable(next.string() + " cannot be written: " + because(), kWritable);
+    if (done && ::fsync(fd.get()) == 0) return next;
+    const auto why = because();
+    if (fd.open()) ::unlink(next.c_str());
+    throw Unusable(file.path.string() + " cannot be written: " + why, kWritable);
 }
 
-/// All or, where anything is in the way, none.
-void write(const std::vector<NewFile>& files, bool force, const std::string& meaning) {
+/// Files that are written whole beside their places, and then replace what is there in one step each. Those
+/// that were not placed are deleted.
+class Aside {
+  public:
+    explicit Aside(const std::vector<NewFile>& files) : Aside() {  // so that it is destroyed if one fails
+        for (const auto& file : files) next_.emplace_back(writeAside(file), file.path);
+    }
+    ~Aside() {
+        for (const auto& [next, _] : next_) ::unlink(next.c_str());
+    }
+    Aside(const Aside&) = delete;
+    Aside& operator=(const Aside&) = delete;
+
+    void place(bool force) const {
+        for (const auto& [next, path] : next_) {
+            // A link fails where there is one already; a rename would not.
+            const bool placed =
+                force ? ::rename(next.c_str(), path.c_str()) == 0 : ::link(next.c_str(), path.c_str()) == 0;
+            if (!placed) throw Unusable(path.string() + " cannot be written: " + because(), kWritable);
+        }
+    }
+
+  private:
+    Aside() = default;
+
+    std::vector<std::pair<fs::path, fs::path>> next_;  // aside, and its place
+};
+
+void refuseExisting(const std::vector<NewFile>& files, const std::string& meaning) {
     for (const auto& file : files) {
         std::error_code ignored;
-        if (!force && fs::exists(fs::symlink_status(file.path, ignored)))
+        if (fs::exists(fs::symlink_status(file.path, ignored)))
             throw Unusable(file.path.string() + " is there already", meaning);
     }
-    try {
-        for (const auto& file : files) writeAside(file);
-    } catch (...) {
-        for (const auto& file : files) ::unlink(aside(file.path).c_str());
-        throw;
+}
+
+/// Holds the folder for one command at a time; it waits for the others.
+class Held {
+  public:
+    explicit Held(const fs::path& folder) : fd_(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {
+        int got = fd_.open() ? ::flock(fd_.get(), LOCK_EX) : -1;
+        while (got != 0 && fd_.open() && errno == EINTR) got = ::flock(fd_.get(), LOCK_EX);
+        if (got == 0) return;
+        const bool missing = errno == ENOENT;
+        throw Unusable(folder.string() + " cannot be used: " + because(),
+                       missing ? "axon certs init --folder " + folder.string() + " makes one" : kWritable);
     }
-    for (const auto& file : files) {
-        // A link fails where somebody was faster; a rename would not.
-        const auto next = aside(file.path);
-        const bool placed = force ? ::rename(next.c_str(), file.path.c_str()) == 0
-                                  : ::link(next.c_str(), file.path.c_str()) == 0;
-        const auto why = because();
-        ::unlink(next.c_str());
-        if (!placed) throw Unusable(file.path.string() + " cannot be written: " + why, kWritable);
+    /// The names of new files come to the disk as well, before what follows.
+    void sync() const { ::fsync(fd_.get()); }
+
+  private:
+    const Descriptor fd_;
+};
+
+Unusable tooLong(const fs::path& index) {
+    return {
+        index.string() + ": expected at most 1 MiB, which is about 14,000 certificates",
+        "delete the lines of certificates that have ended; their second word is the end, in seconds since "
+        "1970 (date -d @SECONDS)"};
+}
+
+/// The certificate in this file, if this CA has signed it.
+std::optional<Certificate> ofThisCa(const fs::path& file, const Issued& authority) {
+    std::error_code error;
+    if (!fs::exists(file, error)) return std::nullopt;
+    const auto text = readFile(file, "delete it, and issue the certificate again");
+    try {
+        checkSignedBy(text, authority.certificate, file.string());
+        return readCertificates(text, file.string()).front();
+    } catch (const Unusable&) {
+        return std::nullopt;
     }
 }
 
@@ -143,35 +192,57 @@ Written Folder::init(WallTime now, bool force) const {
     } else if (!fs::is_directory(path_, error)) {
         throw Unusable(path_.string() + " is no folder", kWritable);
     }
+    const Held held(path_);
     const auto made = makeAuthority(now);
     const std::vector<NewFile> files{{path_ / kAuthorityKey, made.key, 0600},
                                      {path_ / kAuthorityFile, made.certificate, 0644}};
-    write(files, force,
-          "use the CA that is there (axon certs issue), or make another folder (--folder DIR); --force makes "
-          "a new CA, and every certificate of the old one becomes void");
-    // They are about certificates of the old CA.
-    for (const auto* file : {kIssuedFile, kListFile}) ::unlink((path_ / file).c_str());
+    if (!force)
+        refuseExisting(files,
+                       "use the CA that is there (axon certs issue), or make another folder (--folder DIR); "
+                       "--force makes a new CA, and every certificate of the old one becomes void");
+    const Aside aside(files);
+    // They are about certificates of the old CA. A new CA with an old list could revoke nothing.
+    for (const auto* file : {kIssuedFile, kListFile})
+        if (::unlink((path_ / file).c_str()) != 0 && errno != ENOENT)
+            throw Unusable((path_ / file).string() + " cannot be deleted: " + because(), kWritable);
+    held.sync();
+    aside.place(force);
+    held.sync();
     return {{files[1].path, files[0].path}, readCertificates(made.certificate, kAuthorityFile).front()};
 }
 
 Written Folder::issue(const Request& request, WallTime now, bool force) const {
     check(request);
-    const auto issued = certificates::issue(authority(), request, now);
+    const Held held(path_);
+    const auto its_authority = authority();
+    const auto issued = certificates::issue(its_authority, request, now);
     const auto stem = fileStem(request);
     const std::vector<NewFile> files{{path_ / (stem + ".key.pem"), issued.key, 0600},
                                      {path_ / (stem + kCertificateEnd), issued.certificate, 0644},
                                      {path_ / (stem + ".cfg"), configuration(request, stem, path_), 0644}};
     const auto its = readCertificates(issued.certificate, stem).front();
-    const auto before = issuedSoFar();
-    write(files, force, "--force replaces it; the certificate that is there stays valid wherever it is used");
-    std::string index;
-    const auto note = [&](const std::string& serial, WallTime until, const std::string& name) {
-        index += serial + " " + std::to_string(until.time_since_epoch().count()) + " " + name + "\n";
+    if (!force)
+        refuseExisting(files,
+                       "--force replaces it; the certificate that is there stays valid wherever it is used");
+    auto all = issuedSoFar();
+    const auto note = [&](const Certificate& one) {
+        const auto same = [&](const Entry& known) { return known.serial == one.serial; };
+        if (std::none_of(all.begin(), all.end(), same)) all.push_back({one.serial, one.until, stem});
     };
-    for (const auto& one : before)
-        if (one.until > now) note(one.serial, one.until, one.stem);
-    note(its.serial, its.until, stem);
-    write({{path_ / kIssuedFile, index, 0644}}, true, {});
+    // One that the index does not know, such as a copy from elsewhere, can be revoked by its name as well.
+    if (const auto replaced = ofThisCa(files[1].path, its_authority)) note(*replaced);
+    note(its);
+    std::string index;
+    for (const auto& one : all)
+        index +=
+            one.serial + " " + std::to_string(one.until.time_since_epoch().count()) + " " + one.stem + "\n";
+    if (index.size() > kFileMax) throw tooLong(path_ / kIssuedFile);
+    const Aside aside(files);
+    // First, so that no certificate is in place that could not be revoked by its name.
+    Aside({{path_ / kIssuedFile, index, 0644}}).place(true);
+    held.sync();
+    aside.place(force);
+    held.sync();
     return {{files[1].path, files[0].path, files[2].path}, its};
 }
 
@@ -189,6 +260,7 @@ std::vector<Folder::Entry> Folder::issuedSoFar() const {
     const auto file = path_ / kIssuedFile;
     std::vector<Entry> all;
     if (!fs::exists(file, error) && !error) return all;
+    if (const auto size = fs::file_size(file, error); !error && size > kFileMax) throw tooLong(file);
     std::istringstream lines(readFile(file, "run this as the user who made the CA"));
     for (std::string line; std::getline(lines, line);) {
         std::istringstream words(line);
@@ -216,12 +288,13 @@ std::optional<RevocationList> Folder::revocationList() const {
 
 Revoked Folder::revoke(const std::vector<std::string>& names, std::optional<std::chrono::days> valid,
                        WallTime now) const {
+    const Held held(path_);
     const auto its_authority = authority();
     if (valid && (*valid < std::chrono::days{1} || *valid > kListLongest))
         throw Unusable("expected a validity of 1 to " + std::to_string(kListLongest.count()) + " days",
                        "leave --days out, and the list is valid as long as the CA");
-    auto serials = revocationList().value_or(RevocationList{}).serials;
-    const auto before = serials.size();
+    const auto previous = revocationList().value_or(RevocationList{});
+    auto serials = previous.serials;
     for (const auto& name : names) {
         std::set<std::string> its;
         const bool is_file = name.find('/') != std::string::npos || name.ends_with(".pem");
@@ -245,16 +318,20 @@ Revoked Folder::revoke(const std::vector<std::string>& names, std::optional<std:
                            "name one as axon certs show does, without .cert.pem, such as client-client1, or "
                            "the file of a certificate");
         const auto known = serials.size();
-        serials.merge(its);
+        for (const auto& serial : its) serials.emplace(serial, now);
         if (serials.size() == known)
             throw Unusable("'" + name + "' is revoked already", "if a server still accepts it: copy " +
                                                                     (path_ / kListFile).string() +
                                                                     " to that server, and restart it");
     }
-    const auto list = makeRevocationList(its_authority, serials, valid, now);
-    write({{path_ / kListFile, list, 0644}}, true, {});
+    // Whoever compares lists takes that with the greater number, also after a clock was set back.
+    const auto number =
+        std::max(previous.number + 1, static_cast<std::uint64_t>(now.time_since_epoch().count()));
+    const auto list = makeRevocationList(its_authority, serials, number, valid, now);
+    Aside({{path_ / kListFile, list, 0644}}).place(true);
+    held.sync();
     return {path_ / kListFile, readRevocationList(list, its_authority.certificate, kListFile).until,
-            serials.size() - before, serials.size()};
+            serials.size() - previous.serials.size(), serials.size()};
 }
 
 std::vector<fs::path> Folder::certificateFiles() const {

@@ -32,8 +32,9 @@ struct Revoked {
 ///     issued.txt          each certificate that was issued: serial number, last second, KIND-NAME
 ///     revoked.crl.pem     the revocation list, once there is one; goes to every server
 ///
-/// Threads: one. Failure: Unusable, with the fix; what was there before is then still there, whole. Nothing
-/// is overwritten without `force`.
+/// Threads: one for each Folder; of several Folders, processes included, one at a time changes the same
+/// folder, and the others wait. Failure: Unusable, with the fix; what was there before is then still there,
+/// whole. Nothing is overwritten without `force`.
 class Folder {
   public:
     explicit Folder(std::filesystem::path path);

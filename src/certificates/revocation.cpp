@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <ctime>
 #include <memory>
 
 #include "certificates/x509.hpp"
@@ -18,6 +19,7 @@ using ListPtr = std::unique_ptr<gnutls_x509_crl_int, ListFree>;
 /// Servers whose clocks are behind use it, too.
 constexpr std::chrono::hours kBackdated{1};
 constexpr std::size_t kKeyIdSize = 20;
+using Number = std::array<unsigned char, 8>;  // the most significant byte first
 
 ListPtr newList() {
     gnutls_x509_crl_t it = nullptr;
@@ -66,11 +68,17 @@ RevocationList readRevocationList(std::string_view pem, std::string_view authori
     for (int i = 0; i < count; ++i) {
         std::array<unsigned char, 64> serial{};
         auto length = serial.size();
+        std::time_t since = 0;
         require(gnutls_x509_crl_get_crt_serial(list.get(), static_cast<unsigned int>(i), serial.data(),
-                                               &length, nullptr),
+                                               &length, &since),
                 "reading a revocation list");
-        its.serials.insert(hexOf(std::string_view(reinterpret_cast<const char*>(serial.data()), length)));
+        its.serials.emplace(hexOf(std::string_view(reinterpret_cast<const char*>(serial.data()), length)),
+                            WallTime(std::chrono::seconds(since)));
     }
+    Number number{};
+    auto length = number.size();
+    require(gnutls_x509_crl_get_number(list.get(), number.data(), &length, nullptr), "the number of a list");
+    for (std::size_t i = 0; i < length; ++i) its.number = its.number << 8U | number.at(i);
     return its;
 }
 
@@ -85,8 +93,8 @@ void checkSignedBy(std::string_view certificate, std::string_view authority, con
         throw Unusable(file + " is not a certificate of this CA", "name the folder of its CA: --folder DIR");
 }
 
-std::string makeRevocationList(const Issued& authority, const std::set<std::string>& serials,
-                               std::optional<std::chrono::days> valid, WallTime now) {
+std::string makeRevocationList(const Issued& authority, const std::map<std::string, WallTime>& serials,
+                               std::uint64_t number, std::optional<std::chrono::days> valid, WallTime now) {
     const auto signer = signerOf(authority, now);
     const auto ends = contentOf(signer.certificate.get()).until;
     const auto until = valid ? std::min<WallTime>(now + *valid, ends) : ends;
@@ -95,18 +103,16 @@ std::string makeRevocationList(const Issued& authority, const std::set<std::stri
     require(gnutls_x509_crl_set_this_update(list.get(), (now - kBackdated).time_since_epoch().count()),
             "validity");
     require(gnutls_x509_crl_set_next_update(list.get(), until.time_since_epoch().count()), "validity");
-    for (const auto& serial : serials) {
+    for (const auto& [serial, since] : serials) {
         const auto bytes = bytesOf(serial);
         require(gnutls_x509_crl_set_crt_serial(list.get(), bytes.data(), bytes.size(),
-                                               now.time_since_epoch().count()),
+                                               since.time_since_epoch().count()),
                 "revoking a certificate");
     }
-    // It has to be greater than that of each earlier list.
-    std::array<unsigned char, 8> number{};
-    auto rest = static_cast<std::uint64_t>(now.time_since_epoch().count());
-    for (auto at = number.rbegin(); at != number.rend(); ++at, rest >>= 8U)
-        *at = static_cast<unsigned char>(rest & 0xFFU);
-    require(gnutls_x509_crl_set_number(list.get(), number.data(), number.size()), "the number of a list");
+    Number bytes{};
+    for (auto at = bytes.rbegin(); at != bytes.rend(); ++at, number >>= 8U)
+        *at = static_cast<unsigned char>(number & 0xFFU);
+    require(gnutls_x509_crl_set_number(list.get(), bytes.data(), bytes.size()), "the number of a list");
     const auto id = idOf(signer.certificate.get());
     require(gnutls_x509_crl_set_authority_key_id(list.get(), id.data(), kKeyIdSize), "the issuer's key id");
     require(

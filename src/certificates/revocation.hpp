@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <cstdint>
+#include <map>
 #include <optional>
-#include <set>
 #include <string>
 #include <string_view>
 
@@ -12,7 +13,8 @@ namespace axon::certificates {
 /// Which certificates of a CA are no longer valid, and until when that is known: IceSSL refuses everybody
 /// once a list has ended.
 struct RevocationList {
-    std::set<std::string> serials;  ///< as Certificate::serial
+    std::map<std::string, WallTime> serials;  ///< as Certificate::serial, and since when
+    std::uint64_t number = 0;                 ///< greater than those of all earlier lists
     WallTime from{};
     WallTime until{};
 };
@@ -24,10 +26,10 @@ RevocationList readRevocationList(std::string_view pem, std::string_view authori
 /// Throws Unusable where the certificate, PEM, is not one that this CA, PEM, has signed.
 void checkSignedBy(std::string_view certificate, std::string_view authority, const std::string& file);
 
-/// A list, PEM, of these serial numbers and no others. It is valid for so long, and at most as long as the
-/// CA; without `valid` as long as that. Throws Unusable as issue() does.
-std::string makeRevocationList(const Issued& authority, const std::set<std::string>& serials,
-                               std::optional<std::chrono::days> valid, WallTime now);
+/// A list, PEM, of these serial numbers and no others, with this number. It is valid for `valid`, and at most
+/// as long as the CA; without `valid` as long as that. Throws Unusable as issue() does.
+std::string makeRevocationList(const Issued& authority, const std::map<std::string, WallTime>& serials,
+                               std::uint64_t number, std::optional<std::chrono::days> valid, WallTime now);
 
 /// As of a certificate: NotYetValid, where the clock is wrong, Expired, ExpiresSoon or Valid.
 Validity validity(const RevocationList& list, WallTime now);

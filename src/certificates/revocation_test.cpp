@@ -4,8 +4,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <fstream>
 #include <functional>
+#include <map>
+#include <set>
+#include <thread>
+#include <vector>
 
 #include "certificates/folder.hpp"
 
@@ -40,7 +45,12 @@ class Revocation : public testing::Test {
     std::string refused(const std::string& name) const {
         return complaint([&] { folder.revoke({name}, std::nullopt, kNow); });
     }
-    std::set<std::string> list() const { return folder.revocationList().value().serials; }
+    std::set<std::string> list() const {
+        std::set<std::string> serials;
+        const auto its = folder.revocationList().value();
+        for (const auto& [serial, _] : its.serials) serials.insert(serial);
+        return serials;
+    }
 
     const fs::path above = newFolder();
     const Folder folder{above / "certs"};
@@ -138,6 +148,103 @@ TEST_F(Revocation, DoesNotForgetWhatAFileThatCannotBeReadHad) {
     fs::remove(folder.path() / "revoked.crl.pem");
     std::ofstream(folder.path() / "issued.txt", std::ios::app) << "XYZ 1 client-client1\n";
     EXPECT_THAT(refused("client-client1"), HasSubstr("'XYZ 1 client-client1'"));
+}
+
+TEST_F(Revocation, ByTwoAtOnceLosesNothing) {
+    folder.init(kNow, false);
+    constexpr int kEach = 10;
+    std::vector<std::thread> both;
+    std::array<std::string, 2> failed;
+    for (std::size_t who = 0; who < failed.size(); ++who)
+        both.emplace_back([this, who, &failed] {
+            const Folder same(folder.path());
+            failed.at(who) = complaint([&] {
+                for (int i = 0; i < kEach; ++i) {
+                    const auto name = "u" + std::to_string(who) + "-" + std::to_string(i);
+                    same.issue({Kind::Client, {name}}, kNow, false);
+                    same.revoke({"client-" + name}, std::nullopt, kNow);
+                }
+            });
+        });
+    for (auto& one : both) one.join();
+    EXPECT_THAT(failed, testing::Each("accepted"));
+    EXPECT_EQ(list().size(), 2U * kEach);
+    std::size_t certificates = 0;
+    for (const auto& file : fs::directory_iterator(folder.path())) {
+        const auto name = file.path().filename().string();
+        certificates += name.ends_with(".cert.pem") ? 1 : 0;
+        EXPECT_TRUE(name.ends_with(".pem") || name.ends_with(".cfg") || name.ends_with(".txt")) << name;
+    }
+    EXPECT_EQ(certificates, 2U * kEach + 1);
+    EXPECT_EQ(folder.revocationList()->number, std::uint64_t(kNow.time_since_epoch().count()) + 2 * kEach - 1)
+        << "each list has a number of its own";
+}
+
+TEST_F(Revocation, KeepsItsTimeInTheNextListsWhoseNumbersGrow) {
+    folder.init(kNow, false);
+    const auto first = issue("client1");
+    const auto second = issue("client2");
+    folder.revoke({"client-client1"}, std::nullopt, kNow);
+    const auto number = folder.revocationList()->number;
+    folder.revoke({"client-client2"}, std::nullopt, kNow + days{3});
+    folder.revoke({}, std::nullopt, kNow + days{2});
+    const auto its = folder.revocationList().value();
+    EXPECT_EQ(its.serials, (std::map<std::string, WallTime>{{first, kNow}, {second, kNow + days{3}}}));
+    EXPECT_EQ(number, std::uint64_t(kNow.time_since_epoch().count()));
+    EXPECT_EQ(its.number, number + std::uint64_t(seconds(days{3}).count()) + 1) << "the clock was set back";
+}
+
+TEST_F(Revocation, ReachesACertificateThatWasReplacedWithoutBeingInTheIndex) {
+    folder.init(kNow, false);
+    const auto stolen = issue("client1");
+    fs::remove(folder.path() / "issued.txt");
+    const auto newer = issue("client1", true);
+    folder.revoke({"client-client1"}, std::nullopt, kNow);
+    EXPECT_EQ(list(), (std::set{stolen, newer}));
+    // What stands in its place and is no certificate of this CA is of no interest.
+    std::ofstream(folder.path() / "client-client1.cert.pem") << "nonsense";
+    issue("client1", true);
+    EXPECT_EQ(folder.revoke({"client-client1"}, std::nullopt, kNow).added, 1U);
+}
+
+TEST_F(Revocation, OfANameReachesACertificateWhoseIssueFailedHalfWay) {
+    folder.init(kNow, false);
+    fs::create_directory(folder.path() / "client-client1.cfg");  // no file can replace a folder
+    EXPECT_THAT(complaint([&] { issue("client1", true); }),
+                HasSubstr("client-client1.cfg cannot be written"));
+    ASSERT_TRUE(fs::remove(folder.path() / "client-client1.cert.pem")) << "somebody has taken it along";
+    EXPECT_EQ(folder.revoke({"client-client1"}, std::nullopt, kNow).added, 1U);
+}
+
+TEST_F(Revocation, ReachesWhatAClockThatWasAheadTookForEnded) {
+    folder.init(kNow, false);
+    const auto early = issue("client1", false, days{365});
+    folder.issue({Kind::Client, {"client2"}}, kNow + days{1000}, false);
+    fs::remove(folder.path() / "client-client1.cert.pem");
+    folder.revoke({"client-client1"}, std::nullopt, kNow);
+    EXPECT_EQ(list(), std::set{early});
+}
+
+TEST_F(Revocation, OfAnIndexThatIsTooLongSaysWhatMayGo) {
+    folder.init(kNow, false);
+    const std::string line(32, 'a');
+    std::ofstream index(folder.path() / "issued.txt");
+    for (int i = 0; i < 20000; ++i) index << line << " 1800000000 client-client1\n";
+    index.close();
+    EXPECT_THAT(complaint([&] { issue("client2"); }),
+                HasSubstr("delete the lines of certificates that have ended"));
+    EXPECT_THAT(refused("client-client1"), HasSubstr("expected at most 1 MiB"));
+    EXPECT_FALSE(fs::exists(folder.path() / "client-client2.cert.pem"));
+}
+
+TEST_F(Revocation, IsForgottenBeforeANewCaIsInPlace) {
+    folder.init(kNow, false);
+    folder.revoke({}, std::nullopt, kNow);
+    // The new certificate cannot be placed over a folder.
+    fs::remove(folder.path() / "ca.cert.pem");
+    fs::create_directory(folder.path() / "ca.cert.pem");
+    EXPECT_THAT(complaint([&] { folder.init(kNow, true); }), HasSubstr("ca.cert.pem cannot be written"));
+    EXPECT_FALSE(fs::exists(folder.path() / "revoked.crl.pem"));
 }
 
 TEST_F(Revocation, EndsWithItsCa) {
