@@ -75,10 +75,14 @@ void tellWritten(Session& session, const Written& written, const std::string& ne
 
 int init(Session& session, const Folder& folder) {
     if (!namesOf(session).empty()) return misused(session, "axon certs init takes no name");
-    const auto written = folder.init(now(), session.args.value("force", false));
-    tellWritten(session, written,
-                "keep a copy of ca.key.pem where nobody else can read it, then run axon certs issue --server "
-                "HOST ADDRESS");
+    const bool force = session.args.value("force", false);
+    const auto written = folder.init(now(), force);
+    std::string next =
+        "keep a copy of ca.key.pem where nobody else can read it, then run axon certs issue --server "
+        "HOST ADDRESS";
+    if (force)
+        next += "; axon certs revoke makes the list that servers with IceSSL.RevocationCheck need of this CA";
+    tellWritten(session, written, next);
     return kDone;
 }
 
@@ -100,6 +104,10 @@ int revoke(Session& session, const Folder& folder) {
     auto names = namesOf(session);
     if (kinds == 1 && names.empty())
         return misused(session, std::string("expected a name after --") + certificates::toString(kind));
+    if (kinds == 1 && isCalled(kind) && names.size() > 1)
+        return misused(session, std::string("expected one name after --") + certificates::toString(kind) +
+                                    ": the first of those that axon certs issue was given, here perhaps " +
+                                    shellWord(names.front()));
     if (kinds == 1)
         for (auto& name : names) name = fileStem({kind, {name}});
     std::optional<std::chrono::days> valid;
@@ -115,8 +123,10 @@ int revoke(Session& session, const Folder& folder) {
           {"IceSSL.RevocationCheck=1",
            "IceSSL.CertificateRevocationListFiles=" + done.list.filename().string()}},
          {"next",
-          "copy the list to each server and router, beside its certificate, give its configuration "
-          "these two lines, and restart it; a program reads the list when it starts"}});
+          "copy the list to each server, router, IceStorm, registry and node of IceGrid, beside its "
+          "certificate, give its configuration these two lines, and restart it; a program reads the list "
+          "when it starts. If the key of one of these was stolen, clients and Entity Managers need the list "
+          "too (docs/reference/tls.md)"}});
     return kDone;
 }
 
@@ -134,13 +144,21 @@ int show(Session& session, const fs::path& its_folder) {
     const auto add = [&](const fs::path& file) {
         for (auto& one : readCertificateFile(file)) all.emplace_back(std::move(one), file);
     };
-    if (const auto named = namesOf(session); !named.empty()) {
+    const auto named = namesOf(session);
+    if (!named.empty()) {
         for (const auto& file : named) add(file);
     } else {
         for (const auto& file : Folder(its_folder).certificateFiles()) add(file);
     }
     const auto at = now();
-    const auto revoked = its_folder.empty() ? std::nullopt : Folder(its_folder).revocationList();
+    std::optional<RevocationList> revoked;
+    std::optional<Unusable> unreadable;
+    try {
+        if (!its_folder.empty()) revoked = Folder(its_folder).revocationList();
+    } catch (const Unusable& unusable) {
+        if (named.empty()) throw;
+        unreadable = unusable;  // the files that were named may have nothing to do with it
+    }
     const auto isRevoked = [&](const Certificate& one) {
         return revoked && revoked->serials.contains(one.serial);
     };
@@ -165,18 +183,29 @@ int show(Session& session, const fs::path& its_folder) {
              {"message", file.filename().string() + " " + when},
              {"fix", state == Validity::NotYetValid ? "set the clock of this machine" : fixOf(certificate)}});
     }
-    if (revoked && validity(*revoked, at) != Validity::Valid) {
-        const bool soon = validity(*revoked, at) == Validity::ExpiresSoon;
+    if (unreadable)
+        session.events.emit(
+            {{"event", "finding"},
+             {"level", "warn"},
+             {"name", "revocation list"},
+             {"message", std::string(unreadable->what()) + "; so it is not known whether these are revoked"},
+             {"fix", unreadable->fix()}});
+    if (!revoked) return exit;
+    if (const auto state = validity(*revoked, at); state != Validity::Valid) {
+        const bool soon = state == Validity::ExpiresSoon;
+        const bool future = state == Validity::NotYetValid;
         if (!soon) exit = kRefused;
         session.events.emit(
             {{"event", "finding"},
              {"level", soon ? "warn" : "bad"},
              {"name", "revocation list"},
-             {"message", std::string(soon ? "ends on " : "ended on ") + day(revoked->until) +
-                             "; servers that use it refuse everybody from then on"},
-             {"fix",
-              "axon certs revoke without a name, then copy revoked.crl.pem to these servers and restart "
-              "them"}});
+             {"message", future ? "is valid from " + day(revoked->from) +
+                                      " on; servers that use it refuse everybody until then"
+                                : std::string(soon ? "ends on " : "ended on ") + day(revoked->until) +
+                                      "; servers that use it refuse everybody from then on"},
+             {"fix", std::string(future ? "set the clock of this machine; if it is right: " : "") +
+                         "axon certs revoke without a name, then copy revoked.crl.pem to these servers and "
+                         "restart them"}});
     }
     return exit;
 }
@@ -224,8 +253,8 @@ extern const Verb kCerts{
       "init, issue, revoke or show",
       {"init", "issue", "revoke", "show"}},
      {"name", Takes::File, false, true,
-      "issue: the name, and the names and addresses by which a server is called; revoke: names "
-      "after the option of their kind, or KIND-NAME, or files; show: files"}},
+      "issue: the name, and the names and addresses by which a server is called; revoke: the name "
+      "after the option of its kind (of a server, only the first), or KIND-NAME, or files; show: files"}},
     {{"folder", Takes::File, "Folder of the CA (default ~/.config/axon/certs)"},
      {"server", Takes::Nothing, "For axon-server"},
      {"front-end", Takes::Nothing, "For one of several front-end servers: its name and its hosts"},

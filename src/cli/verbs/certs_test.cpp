@@ -149,6 +149,51 @@ TEST_F(Certs, ShowWarnsBeforeTheListEndsAndFailsAfterwards) {
     EXPECT_THAT(seen.last("finding")->at("message").get<std::string>(), HasSubstr("ended on"));
 }
 
+TEST_F(Certs, ShowSaysThatTheListIsFromTheFuture) {
+    using namespace certificates;
+    const auto future =
+        std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now()) + std::chrono::days{3};
+    ASSERT_EQ(axon({"init"}), kDone);
+    Folder(folder + "/lab").revoke({}, std::nullopt, future);
+    EXPECT_EQ(axon({"show"}), kRefused);
+    EXPECT_EQ(seen.last("finding")->at("level"), "bad");
+    EXPECT_THAT(seen.last("finding")->at("message").get<std::string>(), HasSubstr("is valid from "));
+    EXPECT_THAT(seen.last("finding")->at("fix").get<std::string>(), HasSubstr("set the clock"));
+}
+
+TEST_F(Certs, ShowOfAFileDoesWithoutTheListOfTheFolder) {
+    ASSERT_EQ(axon({"init"}), kDone);
+    ASSERT_EQ(axon({"issue", "--client", "client1"}), kDone);
+    std::ofstream(folder + "/lab/revoked.crl.pem") << "nonsense";
+    EXPECT_EQ(axon({"show", folder + "/lab/client-client1.cert.pem"}), kDone);
+    EXPECT_EQ(seen.last("certificates")->at("certificates").at(0).at("validity"), "valid");
+    EXPECT_EQ(seen.last("finding")->at("level"), "warn");
+    EXPECT_THAT(seen.last("finding")->at("message").get<std::string>(), HasSubstr("not known whether"));
+    EXPECT_EQ(axon({"show"}), kUsage) << "there it is one of the things that are asked for";
+}
+
+TEST_F(Certs, RevokesAServerByItsFirstNameOnly) {
+    ASSERT_EQ(axon({"init"}), kDone);
+    ASSERT_EQ(axon({"issue", "--server", "lab.example", "192.168.0.5"}), kDone);
+    ASSERT_EQ(axon({"issue", "--server", "192.168.0.5"}), kDone);
+    EXPECT_EQ(axon({"revoke", "--server", "lab.example", "192.168.0.5"}), kUsage);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("one name after --server"));
+    EXPECT_EQ(axon({"revoke", "--server", "lab.example"}), kDone);
+    EXPECT_EQ(seen.last("revoked")->at("added"), 1);
+    ASSERT_EQ(axon({"issue", "--client", "client1"}), kDone);
+    ASSERT_EQ(axon({"issue", "--client", "client2"}), kDone);
+    EXPECT_EQ(axon({"revoke", "--client", "client1", "client2"}), kDone);
+    EXPECT_EQ(seen.last("revoked")->at("added"), 2);
+}
+
+TEST_F(Certs, SaysThatANewCaNeedsANewList) {
+    const auto next = [this] { return seen.last("issued")->at("next").get<std::string>(); };
+    ASSERT_EQ(axon({"init"}), kDone);
+    EXPECT_THAT(next(), testing::Not(HasSubstr("RevocationCheck")));
+    ASSERT_EQ(axon({"init", "--force"}), kDone);
+    EXPECT_THAT(next(), HasSubstr("RevocationCheck"));
+}
+
 TEST_F(Certs, SaysWhyNothingIsRevoked) {
     const auto message = [this] { return seen.last("error")->at("message").get<std::string>(); };
     EXPECT_EQ(axon({"revoke", "--client", "client1"}), kUsage);
