@@ -363,8 +363,33 @@ while read -r stem; do : >"$CERTS/$stem.cert.pem"; : >"$CERTS/$stem.key.pem"; do
         self.assertGreater(len(self.certify(folder, "certs", RENEW="1")), 5)
         self.assertEqual(sorted(one.name for one in (folder / "out/for_entities/certs").iterdir()),
                          ["ca.cert.pem", "entity-entity.cert.pem", "entity-entity.key.pem"])
+        self.assertFalse((folder / "out/for_entities/certs/revoked.crl.pem").exists())
         orders = self.certify(folder, CERTS=str(folder / "config/axon/certs"))
         self.assertEqual(orders[0], f"certs init --folder {folder}/config/axon/certs", "as axon certs has it")
+
+    def test_a_revocation_list_is_copied_and_named_in_all_settings(self):
+        folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory()))
+        for name, text in self.files.items():
+            (folder / "out" / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / "out" / name).write_text(text)
+        (folder / "certs").mkdir()
+        (folder / "certs/ca.cert.pem").write_text("")
+        files = [one for one in (folder / "out").rglob("*.cfg") if "IceSSL.CertFile=" in one.read_text()]
+        self.assertGreater(len(files), 10)
+
+        def checked():
+            return [set(configuration.REVOCATION) <= set(one.read_text().splitlines()) for one in files]
+        self.assertNotIn("revoke", str(self.certify(folder, "certs")))
+        self.assertFalse(any(checked()))
+        (folder / "certs/revoked.crl.pem").write_text("a list")
+        for _ in range(2):
+            self.assertEqual(self.certify(folder, "certs"), [])
+            self.assertTrue(all(checked()), files)
+            self.assertEqual({one.parent.parent.name for one in folder.glob("out/*/certs/revoked.crl.pem")},
+                             {"for_clients", "for_entities", "hall.example", "lab.example"})
+            (folder / "certs/revoked.crl.pem").write_text("a newer list")
+        self.certify(folder, "certs")
+        self.assertEqual((folder / "out/lab.example/certs/revoked.crl.pem").read_text(), "a newer list")
 
     def test_the_second_routers_may_be_on_another_machine(self):
         plan = hosts.read(HOSTS.replace("es1", "es1 client-router2").replace("fe1", "fe1 entity-router2"), "hosts.txt")

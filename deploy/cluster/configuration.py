@@ -514,6 +514,10 @@ def certificate_of(plan, program):
     return f"{kind}-{names[0]}"
 
 
+REVOCATION_LIST = "revoked.crl.pem"
+REVOCATION = ("IceSSL.RevocationCheck=1", f"IceSSL.CertificateRevocationListFiles={REVOCATION_LIST}")
+
+
 def tls(plan, certificate):
     return f"""\
 # TLS, with a certificate of the CA in {plan.folder}/certs (axon certs --help): both sides show one.
@@ -522,7 +526,8 @@ IceSSL.DefaultDir={plan.folder}/certs
 IceSSL.CAs=ca.cert.pem
 IceSSL.CertFile={certificate}.cert.pem
 IceSSL.KeyFile={certificate}.key.pem
-IceSSL.VerifyPeer=2
+# After axon certs revoke, with its list beside the certificate:
+{"".join(f"#{line}{chr(10)}" for line in REVOCATION)}IceSSL.VerifyPeer=2
 # The certificate must be for the address that was called:
 IceSSL.CheckCertName=1
 IceSSL.Protocols=TLS1_3

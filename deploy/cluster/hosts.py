@@ -175,11 +175,13 @@ def certificates(plan):
         copies.setdefault(folder, {})[stem] = f"give {folder} {stem}"
     text = "".join(f"{line}\n" for line in lines.values())
     text += "".join(f"{line}\n" for those in copies.values() for line in those.values())
+    used = " ".join(f"-e 's/^#{line}$/{line}/'" for line in configuration.REVOCATION)
     return f"""\
 #!/bin/sh
 # sh certificates.sh [CERTS]: on the machine with the laboratory's CA, issues the certificates that are not there yet or
 # are for other machines, and copies to the folder of each machine those that it needs. CERTS is the folder of the CA
-# (~/.config/axon/certs). RENEW=1 sh certificates.sh: issues all of them again.
+# (~/.config/axon/certs). RENEW=1 sh certificates.sh: issues all of them again. If axon certs revoke has made a list there,
+# it is copied as well, and the settings of all programs name it.
 set -eu
 umask 077
 if [ $# -gt 0 ]; then
@@ -200,5 +202,8 @@ issue() {{
 give() {{
     mkdir -p "$1/certs"
     cp "$certs/ca.cert.pem" "$certs/$2.cert.pem" "$certs/$2.key.pem" "$1/certs"
+    [ -e "$certs/{configuration.REVOCATION_LIST}" ] || return 0
+    cp "$certs/{configuration.REVOCATION_LIST}" "$1/certs"
+    sed -i {used} "$1"/*.cfg
 }}
 {text}"""
