@@ -35,7 +35,7 @@ EntityManager::EntityManager(asio::any_io_executor executor, std::string name, c
       ice_(std::move(ice)),
       way_(way),
       timer_(strand_, clock_),
-      turn_timer_(strand_, clock_) {}
+      turn_timer_(strand_, steady_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
                                                      std::shared_ptr<ServerCommunicators> ice,
@@ -123,7 +123,7 @@ void EntityManager::start() {
 
 void EntityManager::turn() {
     if (stopped_) return;
-    turn_timer_.at(turned_(clock_.now()), [weak = weak_from_this()] {
+    turn_timer_.at(steady_.now() + turned_(), [weak = weak_from_this()] {
         if (const auto self = weak.lock()) self->turn();
     });
 }

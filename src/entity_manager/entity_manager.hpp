@@ -73,7 +73,8 @@ class EntityManager final : public ServerEvents,
     /// Whether the holder does; any thread, as of the last event.
     bool direct() const { return direct_.load(); }
 
-    /// Before start(): the strand calls it from then on, and again at the time that it returns, until stop().
+    /// Before start(): the strand calls it from then on, and again after the real time that it returns, until
+    /// stop().
     void watchedBy(transport::ServiceWatchdog::Worker turned);
 
     void start();
@@ -161,7 +162,8 @@ class EntityManager final : public ServerEvents,
     Journal* journal_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;
     DueTimer timer_;
-    transport::ServiceWatchdog::Worker turned_;  // empty: nobody asks
+    transport::ServiceWatchdog::Worker turned_;  // empty: there is no ServiceWatchdog
+    const SteadyClock steady_{};                 // of turned_, also where the laboratory's time stands
     DueTimer turn_timer_;                        // of turned_
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> direct_{false};

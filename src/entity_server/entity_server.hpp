@@ -51,7 +51,7 @@ struct EntityServerSettings {
     /// plain.
     transport::LinkTrust* links = nullptr;
     /// Its timer thread calls it on each turn, and again at the time that it returns; it outlives end().
-    /// Empty: nobody asks (ServiceWatchdog).
+    /// Of a ServiceWatchdog, for the timer thread. Empty: there is none.
     transport::ServiceWatchdog::Worker turned = {};
     /// Looks after the connections of peers from activate() on. Needed; outlives the server.
     transport::ConnectionLimits* limits = nullptr;

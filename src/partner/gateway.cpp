@@ -205,7 +205,8 @@ Gateway::Gateway(GatewaySettings settings, const Clock& clock)
       signals_(clock),
       core_(settings_.core, clock, *this, *this, signals_,
             [](const std::string& line) { spdlog::info("{}", line); }),
-      timer_(strand_, clock_) {}
+      timer_(strand_, clock_),
+      feed_timer_(strand_, steady_) {}
 
 std::shared_ptr<Gateway> Gateway::create(GatewaySettings settings, const Clock& clock) {
     const std::shared_ptr<Gateway> self(new Gateway(std::move(settings), clock));
@@ -225,18 +226,25 @@ void Gateway::watchedBy(transport::ServiceWatchdog::Worker turned) {
 void Gateway::start() {
     post([](PartnerCore& core) { core.start(); });
     asio::post(strand_, [weak = weak_from_this()] {
-        if (const auto self = weak.lock()) self->turn();
+        const auto self = weak.lock();
+        if (!self) return;
+        self->turn();
+        if (self->turned_) self->feed();
     });
 }
 
 void Gateway::turn() {
     if (stopping_) return;
     core_.onTimer();
-    const auto now = clock_.now();
-    auto next = now + PartnerCore::kTurn / 2;
-    if (turned_) next = std::min(next, turned_(now));
-    timer_.at(next, [weak = weak_from_this()] {
+    timer_.at(clock_.now() + PartnerCore::kTurn / 2, [weak = weak_from_this()] {
         if (const auto self = weak.lock()) self->turn();
+    });
+}
+
+void Gateway::feed() {
+    if (stopping_) return;
+    feed_timer_.at(steady_.now() + turned_(), [weak = weak_from_this()] {
+        if (const auto self = weak.lock()) self->feed();
     });
 }
 
@@ -245,6 +253,7 @@ void Gateway::stop() {
     asio::post(strand_, [this, &done] {
         stopping_ = true;
         timer_.cancel();
+        feed_timer_.cancel();
         core_.stop();
         done.set_value();
     });

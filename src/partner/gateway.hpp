@@ -59,7 +59,8 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     static std::shared_ptr<Gateway> create(GatewaySettings settings, const Clock& clock);
     ~Gateway() override;
 
-    /// Before start(): the strand calls it on each turn from then on, until stop().
+    /// Before start(): the strand calls it from then on, and again after the real time that it returns, until
+    /// stop().
     void watchedBy(transport::ServiceWatchdog::Worker turned);
 
     void start();
@@ -80,6 +81,7 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     void postShare(StrandShares& shares, const std::string& client, StrandShares::Verdict verdict,
                    std::size_t bytes, bool droppable, std::function<void(PartnerCore&)> event);
     void turn();
+    void feed();
 
     // On the threads of signals.
     void stopSignal(const ShownEntity& entity, const Header& head, StopCause cause);
@@ -130,11 +132,14 @@ class Gateway final : public HomePort, public TherePort, public std::enable_shar
     std::atomic<std::size_t> leaving_{0};
     std::atomic<bool> overflown_{false};
     std::atomic<bool> stopping_{false};
-    transport::ServiceWatchdog::Worker turned_;  // empty: nobody asks; constant from start() on
+    transport::ServiceWatchdog::Worker
+        turned_;  // empty: there is no ServiceWatchdog; constant from start() on
 
     // Confined to the strand.
     PartnerCore core_;
     entity_manager::DueTimer timer_;
+    const SteadyClock steady_{};           // of turned_, also where the laboratory's time stands
+    entity_manager::DueTimer feed_timer_;  // of turned_
     std::map<std::string, std::shared_ptr<HomeLink>> links_;  // by UUID at home
     std::map<SessionNumber, std::shared_ptr<Session>> sessions_;
     Openings openings_;

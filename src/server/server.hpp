@@ -67,7 +67,8 @@ struct ServerSettings {
     bool plain_tcp = false;                             ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted
-    /// Is told that the timer threads of the servers go on. Outlives the server. Null: nobody asks.
+    /// Is told that the timer threads of the servers go on. Outlives the server. Null: the service
+    /// manager does not watch this process.
     transport::ServiceWatchdog* watchdog = nullptr;
 };
 

@@ -4,18 +4,38 @@
 #include <pthread.h>
 #include <sched.h>
 
+#include <algorithm>
+
 #include "common/waiting.hpp"
 #include "transport/ice/communicator.hpp"
 
 namespace axon::transport {
+namespace {
+
+/// Another clock, for which nobody waits longer than until `turn` of real time.
+class Bounded final : public Clock {
+  public:
+    Bounded(const Clock& clock, TimePoint turn) : clock_(clock), turn_(turn) {}
+    TimePoint now() const override { return clock_.now(); }
+    Duration realTimeUntil(TimePoint deadline) const override {
+        return std::min<Duration>(clock_.realTimeUntil(deadline), turn_ - SteadyClock{}.now());
+    }
+
+  private:
+    const Clock& clock_;
+    const TimePoint turn_;
+};
+
+}  // namespace
 
 TimerThread::TimerThread(std::string name, Lane lane, Duration pause, const Clock& clock,
-                         std::function<TimePoint()> tick)
+                         std::function<TimePoint()> tick, std::function<Duration()> turned)
     : name_(std::move(name)),
       lane_(lane),
       pause_(pause),
       clock_(clock),
       tick_(std::move(tick)),
+      turned_(std::move(turned)),
       thread_([this] { run(); }) {}
 
 TimerThread::~TimerThread() {
@@ -50,10 +70,11 @@ void TimerThread::run() {
     }
     while (true) {
         const auto due = tick_();
+        const Bounded clock(clock_, turned_ ? SteadyClock{}.now() + turned_() : TimePoint::max());
         std::unique_lock lock(mutex_);
         // The pause spares the processor, so it is one of the machine's time, whatever the clock counts.
         if (pause_ > Duration{}) changed_.wait_for(lock, pause_, [this] { return stopping_; });
-        waitUntil(changed_, lock, clock_, due, [this] { return woken_ || stopping_; });
+        waitUntil(changed_, lock, clock, due, [this] { return woken_ || stopping_; });
         if (stopping_) return;
         woken_ = false;
     }

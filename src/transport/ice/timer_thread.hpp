@@ -15,10 +15,13 @@ namespace axon::transport {
 /// at the time that its last call returned and when it is woken, but not more often than once in `pause`.
 /// Of the signal lane, as heartbeats and watchdogs are, it runs under SCHED_RR where permitted. The
 /// destructor ends it.
+///
+/// `turned` is called after each `tick`, and says after how much real time `tick` is called again at the
+/// latest, also while the clock stands (ServiceWatchdog::Worker). Empty: there is no such bound.
 class TimerThread {
   public:
     TimerThread(std::string name, Lane lane, Duration pause, const Clock& clock,
-                std::function<TimePoint()> tick);
+                std::function<TimePoint()> tick, std::function<Duration()> turned = {});
     ~TimerThread();
     TimerThread(const TimerThread&) = delete;
     TimerThread& operator=(const TimerThread&) = delete;
@@ -37,6 +40,7 @@ class TimerThread {
     const Duration pause_;
     const Clock& clock_;
     const std::function<TimePoint()> tick_;
+    const std::function<Duration()> turned_;
     std::mutex mutex_;
     std::condition_variable changed_;
     bool woken_ = false;     // guarded by mutex_

@@ -46,5 +46,25 @@ TEST(TimerThread, TicksWhenItsClockSaysSoOrWhenItIsWokenAndNotBefore) {
     ASSERT_TRUE(waitUntil([&] { return ticks == 3; }));
 }
 
+TEST(TimerThread, TurnsInRealTimeWhereItIsAskedToWhileItsClockStands) {
+    const StandingClock standing;
+    const SteadyClock steady;
+    for (const Clock* clock : {static_cast<const Clock*>(&standing), static_cast<const Clock*>(&steady)}) {
+        std::atomic<int> ticks{0};
+        std::atomic<int> turns{0};
+        const TimerThread timer(
+            "test-timer", Lane::Data, Duration{}, *clock,
+            [&] {
+                ++ticks;
+                return clock->now() + 1h;
+            },
+            [&] {
+                ++turns;
+                return 2ms;
+            });
+        EXPECT_TRUE(waitUntil([&] { return turns > 20 && ticks > 20; }));
+    }
+}
+
 }  // namespace
 }  // namespace axon::transport

@@ -80,10 +80,11 @@ void tellServiceManagerReady() {
             socket, std::strerror(errno));
 }
 
-ServiceWatchdog::ServiceWatchdog(Duration period, std::function<void()> tell)
-    : pause_(period / 3), tell_(std::move(tell)) {}
+ServiceWatchdog::ServiceWatchdog(Duration period, std::function<void()> tell,
+                                 std::shared_ptr<const Clock> clock)
+    : pause_(period / 3), tell_(std::move(tell)), clock_(std::move(clock)) {}
 
-std::unique_ptr<ServiceWatchdog> ServiceWatchdog::fromEnvironment() {
+std::unique_ptr<ServiceWatchdog> ServiceWatchdog::fromEnvironment(std::shared_ptr<const Clock> clock) {
     const auto period = variable("WATCHDOG_USEC");
     const auto process = variable("WATCHDOG_PID");
     if (period.empty()) return nullptr;
@@ -116,23 +117,26 @@ std::unique_ptr<ServiceWatchdog> ServiceWatchdog::fromEnvironment() {
                     "it is tried again, but after WatchdogSec= systemd restarts the program",
                     name, std::strerror(errno));
             failed = !told;
-        });
+        },
+        std::move(clock));
 }
 
 ServiceWatchdog::Worker ServiceWatchdog::worker() {
     const std::lock_guard lock(mutex_);
     called_.push_back(false);
-    return [this, number = called_.size() - 1](TimePoint now) { return turned(number, now); };
+    return [this, number = called_.size() - 1] { return turned(number); };
 }
 
-TimePoint ServiceWatchdog::turned(std::size_t worker, TimePoint now) {
+Duration ServiceWatchdog::turned(std::size_t worker) {
     const std::lock_guard lock(mutex_);
-    if (now < next_) return next_;
+    const auto now = clock_->now();
+    if (now < next_) return next_ - now;
     called_[worker] = true;
-    if (std::find(called_.begin(), called_.end(), false) != called_.end()) return now + pause_;
+    if (std::find(called_.begin(), called_.end(), false) != called_.end()) return pause_;
     std::fill(called_.begin(), called_.end(), false);
     tell_();
-    return next_ = now + pause_;
+    next_ = now + pause_;
+    return pause_;
 }
 
 }  // namespace axon::transport

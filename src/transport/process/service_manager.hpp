@@ -24,31 +24,36 @@ void tellServiceManagerReady();
 ///
 /// It has no thread of its own, which would go on while the others are stuck. The threads without which the
 /// program does nothing call it, and the service manager is told at every third of the period if each of them
-/// has called since.
+/// has called since. It counts real time, as the service manager does, also where the laboratory's time
+/// stands (AXON_CLOCK).
 ///
 /// Threads: any. Ownership: outlives the workers.
 class ServiceWatchdog {
   public:
-    /// To be called on each turn of one thread, with the time at that moment. Returns when to call at the
-    /// latest. Does not block.
-    using Worker = std::function<TimePoint(TimePoint now)>;
+    /// To be called on each turn of one thread. Returns after how much real time to call again at the latest.
+    /// Does not block.
+    using Worker = std::function<Duration()>;
 
-    ServiceWatchdog(Duration period, std::function<void()> tell);
+    /// `clock` counts real time; tests have another one.
+    ServiceWatchdog(Duration period, std::function<void()> tell,
+                    std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
     ServiceWatchdog(const ServiceWatchdog&) = delete;
     ServiceWatchdog& operator=(const ServiceWatchdog&) = delete;
 
     /// As the environment says: WATCHDOG_USEC, WATCHDOG_PID and NOTIFY_SOCKET. Null where nobody watches this
     /// process, and where the variables cannot be used, which is logged as a warning.
-    static std::unique_ptr<ServiceWatchdog> fromEnvironment();
+    static std::unique_ptr<ServiceWatchdog> fromEnvironment(
+        std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
 
     /// One more thread without whose calls the service manager is not told.
     Worker worker();
 
   private:
-    TimePoint turned(std::size_t worker, TimePoint now);
+    Duration turned(std::size_t worker);
 
     const Duration pause_;
     const std::function<void()> tell_;
+    const std::shared_ptr<const Clock> clock_;
     std::mutex mutex_;
     TimePoint next_{};          // guarded by mutex_: when it is told next
     std::vector<bool> called_;  // guarded by mutex_: which workers have called since next_

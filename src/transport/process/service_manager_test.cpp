@@ -12,6 +12,7 @@
 #include <cstddef>
 #include <cstdlib>
 #include <filesystem>
+#include <memory>
 #include <string>
 
 #include "common/descriptor.hpp"
@@ -101,16 +102,18 @@ TEST(ServiceWatchdog, OfTheEnvironmentTellsTheServiceManagerAtEachThirdOfThePeri
     const ServiceManager manager(kAbstract);
     for (const char* process : {static_cast<const char*>(nullptr), kThisProcess.c_str()}) {
         const WatchdogVariables variables("30000000", process);
-        const auto watchdog = ServiceWatchdog::fromEnvironment();
+        const auto clock = std::make_shared<ManualClock>();
+        const auto watchdog = ServiceWatchdog::fromEnvironment(clock);
         ASSERT_NE(watchdog, nullptr);
         const auto turned = watchdog->worker();
         EXPECT_EQ(manager.told(), "nothing");
-        const TimePoint start{1000s};
-        EXPECT_EQ(turned(start), start + 10s);
+        EXPECT_EQ(turned(), 10s);
         EXPECT_EQ(manager.told(), "WATCHDOG=1");
-        EXPECT_EQ(turned(start + 9s), start + 10s);
+        clock->advance(9s);
+        EXPECT_EQ(turned(), 1s);
         EXPECT_EQ(manager.told(), "nothing");
-        EXPECT_EQ(turned(start + 10s), start + 20s);
+        clock->advance(1s);
+        EXPECT_EQ(turned(), 10s);
         EXPECT_EQ(manager.told(), "WATCHDOG=1");
     }
 }
@@ -145,37 +148,41 @@ TEST(ServiceWatchdog, IsNotFedByVariablesThatMakeNoSense) {
 TEST(ServiceWatchdog, WhoseServiceManagerDoesNotReadNeitherBlocksNorEnds) {
     const ServiceManager manager(kAbstract);
     const WatchdogVariables variables("3000000", nullptr);
-    const auto watchdog = ServiceWatchdog::fromEnvironment();
+    const auto clock = std::make_shared<ManualClock>();
+    const auto watchdog = ServiceWatchdog::fromEnvironment(clock);
     ASSERT_NE(watchdog, nullptr);
     const auto turned = watchdog->worker();
-    TimePoint now{1000s};
-    for (int i = 0; i < 10000; ++i) now = turned(now);  // the socket's queue is full long before
-    EXPECT_EQ(now, TimePoint{11000s});
+    for (int i = 0; i < 10000; ++i) clock->advance(turned());  // the socket's queue is full long before
+    EXPECT_EQ(clock->now(), TimePoint{11000s});
     int told = 0;
     while (manager.told() == "WATCHDOG=1") ++told;
     EXPECT_GT(told, 0);
     EXPECT_LT(told, 10000);
-    turned(now);
+    turned();
     EXPECT_EQ(manager.told(), "WATCHDOG=1") << "it is told again";
 }
 
 struct Workers : ::testing::Test {
     int told = 0;
-    ServiceWatchdog watchdog{3s, [this] { ++told; }};
-    TimePoint start{1000s};
+    std::shared_ptr<ManualClock> clock = std::make_shared<ManualClock>();
+    ServiceWatchdog watchdog{3s, [this] { ++told; }, clock};
+    TimePoint start = clock->now();
 };
 
 TEST_F(Workers, OfWhichOneStandsStillAreNotBelieved) {
     const auto one = watchdog.worker();
     const auto other = watchdog.worker();
-    EXPECT_EQ(one(start), start + 1s);
+    EXPECT_EQ(one(), 1s);
     EXPECT_EQ(told, 0);
-    other(start);
+    other();
     EXPECT_EQ(told, 1);
     // The other one is stuck from here on.
-    for (auto now = start + 1s; now < start + 60s; now += 5ms) one(now);
+    while (clock->now() < start + 60s) {
+        clock->advance(5ms);
+        one();
+    }
     EXPECT_EQ(told, 1);
-    other(start + 60s);
+    other();
     EXPECT_EQ(told, 2);
 }
 
@@ -188,7 +195,8 @@ TEST_F(Workers, WhoCallWhenTheyAreToldToKeepItFed) {
     while (last < start + 60s) {
         const auto before = told;
         const auto now = std::min(first, second);
-        (now == first ? first : second) = (now == first ? one : other)(now);
+        clock->set(now);
+        (now == first ? first : second) = now + (now == first ? one : other)();
         ASSERT_LE(now - last, 2s) << "of a period of 3 s";
         if (told > before) last = now;
     }

@@ -80,11 +80,11 @@ class ServerRim {
         timer_ = std::make_unique<TimerThread>(
             // Thousands of peers are served in batches, not with a wake-up for each of them.
             Kind::kTimer, Lane::Signal, std::chrono::milliseconds{5}, clock,
-            [this, &core, &clock, turned = settings.turned] {
-                const auto next =
-                    std::min({core.onTimer(), data_lane_.sessions.expire(), signal_lane_.sessions.expire()});
-                return turned ? std::min(next, turned(clock.now())) : next;
-            });
+            [this, &core] {
+                return std::min(
+                    {core.onTimer(), data_lane_.sessions.expire(), signal_lane_.sessions.expire()});
+            },
+            settings.turned);
         timer_ready_ = timer_.get();
     }
 
