@@ -39,9 +39,16 @@ constexpr Reason kTlsReasons[] = {
     {"unknown ca", "the certificate is of another CA"},
 };
 
-/// IceSSL 3.7.8 loses what OpenSSL says of a handshake in which no certificate came.
+/// IceSSL 3.7.8 loses what OpenSSL says of a handshake in which no certificate came, or reports that the peer
+/// has ended it.
 constexpr const char* kWithoutReason =
-    "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3";
+    "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3, or it ended "
+    "the handshake, as one does that does not accept this program's certificate";
+
+/// What OpenSSL says where the peer has said so with an alert: "tlsv1 alert unknown ca".
+constexpr const char* kRefusedByPeer =
+    "the peer does not accept this program's certificate (compare IceSSL.CAs of the peer, and the name or "
+    "address that it called)";
 
 /// The same at a port that asks for no certificate.
 constexpr const char* kNoTls = "the peer does not speak TLS 1.3";
@@ -107,28 +114,44 @@ std::string onOneLine(std::string exception) {
     return exception;
 }
 
-/// Of a connection that was not accepted.
-void explainNotAccepted(RefusedConnection& its, const std::string& type, const std::string& name,
+/// Whether the alert, which the peer has sent, is about a certificate: that of this program.
+bool isAlertOfCertificate(std::string_view said) {
+    const auto at = said.find("alert ");
+    if (at == std::string_view::npos) return false;
+    const auto alert = said.substr(at, said.find_first_of(":\n", at) - at);
+    return alert.find("certificate") != std::string_view::npos ||
+           alert.find("unknown ca") != std::string_view::npos;
+}
+
+/// Of a connection that was not accepted. False: not because of its peer.
+bool explainNotAccepted(RefusedConnection& its, const std::string& type, const std::string& name,
                         const std::string& exception) {
+    const bool late = name == "::Ice::ConnectTimeoutException";
+    // Over a WebSocket it may also have been after the handshake.
+    const bool ended = type == "ssl" && name == "::Ice::ConnectionLostException";
+    if (!late && !ended && name != "::Ice::SecurityException" && meaningOfProtocolError(name) == nullptr)
+        return false;
     const bool tls =
         type == "ssl" ||
         (type == "wss" && (name == "::Ice::SecurityException" || exception.find("SSL") != std::string::npos));
     its.at = tls                             ? RefusedAt::TlsHandshake
              : type == "ws" || type == "wss" ? RefusedAt::WebSocket
                                              : RefusedAt::Protocol;
-    if (name == "::Ice::ConnectTimeoutException") {
+    if (late) {
         its.code = RefusalCode::Expired;
         its.why = tls             ? "it did not finish the TLS handshake in time"
                   : type == "wss" ? "it did not finish the TLS handshake, or open a WebSocket, in time"
                                   : "it did not set up the connection in time";
     } else if (tls) {
-        const auto* const means = meaningOfTlsError(exception);
+        const auto* const means =
+            isAlertOfCertificate(exception) ? kRefusedByPeer : meaningOfTlsError(exception);
         its.code = RefusalCode::PermissionDenied;
         its.why = means != nullptr ? means : type == "wss" ? kNoTls : kWithoutReason;
     } else {
         its.why = its.at == RefusedAt::WebSocket ? "it does not open a WebSocket"
                                                  : "it does not speak the protocol of this port";
     }
+    return true;
 }
 
 }  // namespace
@@ -162,13 +185,13 @@ std::optional<RefusedConnection> refusedConnection(const std::string& trace) {
     if (!not_accepted && !typeIn(trace, "closed ", " connection")) return std::nullopt;
     const auto exception = exceptionIn(trace);
     const auto name = nameOf(exception);
-    if (name.empty() || name == "::Ice::ConnectionLostException") return std::nullopt;
+    if (name.empty()) return std::nullopt;
     RefusedConnection its{.peer = addressIn(trace, "remote"),
                           .local = addressIn(trace, "local"),
                           .why = {},
                           .said = onOneLine(exception)};
     if (not_accepted) {
-        explainNotAccepted(its, *not_accepted, name, exception);
+        if (!explainNotAccepted(its, *not_accepted, name, exception)) return std::nullopt;
         return its;
     }
     const auto* const means = meaningOfProtocolError(name);

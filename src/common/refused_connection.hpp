@@ -26,11 +26,13 @@ struct RefusedConnection {
     RefusalCode code = RefusalCode::Malformed;
 };
 
-/// What one message of these traces says of a connection that was refused. Nothing for other messages, and
-/// for a connection that its peer has ended, as nothing was refused then. Of one that was refused at Protocol
-/// the message does not say whether it was incoming: it was if something listens on the port of `local`
-/// (listeningAt()). Ice names no cause where a connection that it had accepted was silent for too long, so
-/// these are not found.
+/// What one message of these traces says of a connection that was refused. Nothing for other messages, for a
+/// connection that this program has ended for a reason of its own, and for one that its peer has ended,
+/// unless that was within a TLS handshake (without a WebSocket): IceSSL may report a peer without a
+/// certificate so, and one that does not accept the certificate of this program. Of one that was refused at
+/// Protocol the message does not say whether it was incoming: it was if something listens on the port of
+/// `local` (listeningAt()). Ice names no cause where a connection that it had accepted was silent for too
+/// long, so these are not found.
 std::optional<RefusedConnection> refusedConnection(const std::string& trace);
 
 /// "127.0.0.1:10414" of the message that Ice listens there; nothing for other messages.

@@ -68,13 +68,17 @@ TEST(RefusedConnection, TheReasonIsThatOfTheCertificate) {
         "the certificate is of another kind than this port takes");
 }
 
-TEST(RefusedConnection, WhereIceLosesTheReasonBothAreNamed) {
+const std::string kWithoutReason =
+    "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3, or it ended "
+    "the "
+    "handshake, as one does that does not accept this program's certificate";
+
+TEST(RefusedConnection, WhereIceLosesTheReasonAllAreNamed) {
     const auto its = refusedConnection(notAccepted(kNothingSaid));
     ASSERT_TRUE(its);
     EXPECT_EQ(its->at, RefusedAt::TlsHandshake);
     EXPECT_EQ(its->peer, "127.0.0.1:42284");
-    EXPECT_EQ(its->why,
-              "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3");
+    EXPECT_EQ(its->why, kWithoutReason);
     EXPECT_EQ(its->said,
               "::Ice::ProtocolException: protocol exception: SSL error occurred for new incoming connection");
     EXPECT_EQ(whyOf(notAccepted(kNothingSaid, "wss")), "the peer does not speak TLS 1.3");
@@ -121,13 +125,56 @@ TEST(RefusedConnection, WhatIsNotIceIsRefusedAfterTheConnectionWasAccepted) {
         "it announced a message that is larger than this port takes");
 }
 
+const std::string kZero = "x.cpp:405: ::Ice::ConnectionLostException:\nconnection lost: recv() returned zero";
+
+TEST(RefusedConnection, ATlsHandshakeThatThePeerEndsIsRefused) {
+    const auto its = refusedConnection(notAccepted(kZero));
+    ASSERT_TRUE(its);
+    EXPECT_EQ(its->at, RefusedAt::TlsHandshake);
+    EXPECT_EQ(its->peer, "127.0.0.1:42284");
+    EXPECT_EQ(its->why, kWithoutReason);
+    EXPECT_EQ(its->said, "::Ice::ConnectionLostException: connection lost: recv() returned zero");
+    EXPECT_EQ(its->code, RefusalCode::PermissionDenied);
+}
+
 TEST(RefusedConnection, AConnectionThatItsPeerHasEndedIsNotRefused) {
-    const std::string zero = "405: ::Ice::ConnectionLostException:\nconnection lost: recv() returned zero";
     const std::string reset =
-        "265: ::Ice::ConnectionLostException:\nconnection lost: Connection reset by peer";
-    EXPECT_EQ(whyOf(notAccepted("src/IceSSL/OpenSSLTransceiverI.cpp:" + zero)), "not refused");
-    EXPECT_EQ(whyOf(closed("src/Ice/StreamSocket.cpp:" + reset)), "not refused");
+        "src/Ice/StreamSocket.cpp:265: ::Ice::ConnectionLostException:\nconnection lost: Connection reset by "
+        "peer";
+    for (const auto* type : {"tcp", "ssl", "ws", "wss"}) {
+        EXPECT_EQ(whyOf(closed(kZero, type)), "not refused") << type;
+        EXPECT_EQ(whyOf(closed(reset, type)), "not refused") << type;
+    }
+    for (const auto* type : {"tcp", "ws", "wss"})
+        EXPECT_EQ(whyOf(notAccepted(kZero, type)), "not refused") << type;
     EXPECT_EQ(whyOf("closed tcp connection" + kAddresses), "not refused");
+}
+
+TEST(RefusedConnection, WhatThisProgramEndsForAReasonOfItsOwnIsNotRefused) {
+    for (const auto* exception :
+         {"::Ice::CommunicatorDestroyedException", "::Ice::ObjectAdapterDeactivatedException",
+          "::Ice::SocketException", "::Ice::ForcedCloseConnectionException", "::Ice::UnknownException"})
+        for (const auto* type : {"tcp", "ssl", "ws", "wss"}) {
+            const auto said = std::string("src/Ice/ConnectionI.cpp:1: ") + exception + ":\nit stops";
+            EXPECT_EQ(whyOf(notAccepted(said, type)), "not refused") << type << ' ' << exception;
+            EXPECT_EQ(whyOf(closed(said, type)), "not refused") << type << ' ' << exception;
+        }
+}
+
+TEST(RefusedConnection, AnAlertIsThePeerThatRefusesTheCertificateHere) {
+    const auto alert = [](const std::string& its) {
+        return kNothingSaid + "error:0A000418:SSL routines:ssl3_read_bytes:" + its +
+               ":ssl/record/rec_layer_s3.c:1584:SSL alert number 48";
+    };
+    for (const auto* type : {"ssl", "wss"})
+        for (const auto* its : {"tlsv1 alert unknown ca", "sslv3 alert bad certificate",
+                                "sslv3 alert certificate expired", "sslv3 alert certificate unknown"})
+            EXPECT_EQ(whyOf(notAccepted(alert(its), type)),
+                      "the peer does not accept this program's certificate (compare IceSSL.CAs of the peer, "
+                      "and the name or address that it called)")
+                << its;
+    EXPECT_EQ(whyOf(notAccepted(alert("tlsv1 alert protocol version"))), kWithoutReason)
+        << "that is no matter of a certificate";
 }
 
 TEST(RefusedConnection, OtherMessagesAreNoRefusals) {

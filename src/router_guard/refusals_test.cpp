@@ -69,6 +69,16 @@ TEST_F(RefusalsTest, AHandshakeThatIsRefusedIsRecordedAndSaid) {
                             "verify the first certificate)"));
 }
 
+TEST_F(RefusalsTest, AHandshakeThatThePeerEndsIsRecordedAndSaid) {
+    refusals.onTrace(
+        trace("failed to accept ssl connection", "10.0.0.1:10414",
+              "x.cpp:1: ::Ice::ConnectionLostException:\nconnection lost: recv() returned zero"));
+    EXPECT_THAT(audit.notes(),
+                ElementsAre(HasSubstr("@10.0.0.7:50122|refusal||||a TLS handshake at 10.0.0.1:10414: no "
+                                      "certificate was shown")));
+    EXPECT_THAT(said, SizeIs(1));
+}
+
 TEST_F(RefusalsTest, WhatIsNotIceIsRecordedAtItsOwnPortsOnly) {
     refusals.onTrace("listening for tcp connections\nlocal address = 0.0.0.0:10414");
     refusals.onTrace(badMagic("10.0.0.1:40000"));  // whom it has called, speaks nonsense
@@ -87,6 +97,8 @@ TEST_F(RefusalsTest, WhatRefusesNobodyIsNeitherRecordedNorSaid) {
     refusals.onTrace(
         trace("closed tcp connection", "10.0.0.1:10414",
               "x.cpp:1: ::Ice::ConnectionLostException:\nconnection lost: recv() returned zero"));
+    refusals.onTrace(trace("failed to accept ssl connection", "10.0.0.1:10414",
+                           "x.cpp:1: ::Ice::ObjectAdapterDeactivatedException:\nobject adapter deactivated"));
     refusals.onTrace("");
     EXPECT_THAT(audit.notes(), SizeIs(0));
     EXPECT_THAT(said, SizeIs(0));
