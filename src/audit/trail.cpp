@@ -3,9 +3,12 @@
 
 #include <poll.h>
 #include <pthread.h>
+#include <sched.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <csignal>
+#include <ctime>
 #include <optional>
 #include <system_error>
 #include <utility>
@@ -64,7 +67,35 @@ std::string fixOf(int error) {
     return {};
 }
 
+sigset_t sizeSignal() {
+    sigset_t its;
+    sigemptyset(&its);
+    sigaddset(&its, SIGXFSZ);
+    return its;
+}
+
+/// Nobody waits for this thread, and what starts it may not know of limits on the size of files.
+void beginThread() {
+    pthread_setname_np(pthread_self(), "axon-audit");
+    const sched_param none{};
+    ::sched_setscheduler(0, SCHED_BATCH, &none);
+    const auto its = sizeSignal();
+    pthread_sigmask(SIG_BLOCK, &its, nullptr);
+}
+
 }  // namespace
+
+Trail::NoSizeSignal::NoSizeSignal() {
+    const auto its = sizeSignal();
+    pthread_sigmask(SIG_BLOCK, &its, &before_);
+}
+
+Trail::NoSizeSignal::~NoSizeSignal() {
+    const auto its = sizeSignal();
+    const timespec at_once{};
+    if (sigismember(&before_, SIGXFSZ) == 0) sigtimedwait(&its, nullptr, &at_once);
+    pthread_sigmask(SIG_SETMASK, &before_, nullptr);
+}
 
 Trail::Trail(const TrailSettings& settings, const std::string& name, const std::string& started,
              Report report, Files::Write write, const Clock* clock, Files::Sync sync)
@@ -87,9 +118,10 @@ Trail::Trail(const TrailSettings& settings, const std::string& name, const std::
         report_("audit: a kill of this process would lose the records that wait for the disk: " +
                 slots_.whyNot());
     thread_ = std::thread([this, first = startOf(started, files_.unfinished(), left.size())] {
-        pthread_setname_np(pthread_self(), "axon-audit");
+        beginThread();
         if (this->write(first)) run();
     });
+    starting_.reset();
 }
 
 Trail::~Trail() {

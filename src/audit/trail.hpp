@@ -1,13 +1,17 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <signal.h>
+
 #include <atomic>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 
 #include "audit/files.hpp"
 #include "audit/note.hpp"
@@ -41,9 +45,10 @@ struct TrailSettings {
 /// kill -9 costs no note() that has returned; a restart of the machine costs what was not on the disk.
 ///
 /// Life: the constructor notes that the program has started; the destructor writes what waits, if the disk
-/// takes it at once, and else leaves it to the next life. Threads: any; one of its own. Failure: the
-/// constructor throws std::runtime_error for a folder that cannot be used; later failures are told to
-/// `report`, once each time, and once when it is over.
+/// takes it at once, and else leaves it to the next life. Threads: any; one of its own, "axon-audit", with
+/// SCHED_BATCH. A limit on the size of files is a disk that is full, also in a program that SIGXFSZ would
+/// end. Failure: the constructor throws std::runtime_error for a folder that cannot be used; later failures
+/// are told to `report`, once each time, and once when it is over.
 class Trail final : public AuditTrail {
   public:
     /// On the trail's thread, and on that of the constructor.
@@ -62,6 +67,18 @@ class Trail final : public AuditTrail {
     std::uint64_t lost() const { return lost_.load(std::memory_order_relaxed); }
 
   private:
+    /// On the thread that makes it, as long as it lives, SIGXFSZ has no effect.
+    class NoSizeSignal {
+      public:
+        NoSizeSignal();
+        ~NoSizeSignal();
+        NoSizeSignal(const NoSizeSignal&) = delete;
+        NoSizeSignal& operator=(const NoSizeSignal&) = delete;
+
+      private:
+        sigset_t before_{};
+    };
+
     void run();
     bool writeWaiting();
     bool writeLosses();
@@ -80,7 +97,8 @@ class Trail final : public AuditTrail {
     static constexpr std::chrono::seconds kTellLosses{1}, kSync{1};
 
     std::atomic<bool> ending_{false};
-    WakeUp wake_up_;  // for the end only
+    WakeUp wake_up_;                                       // for the end only
+    std::optional<NoSizeSignal> starting_{std::in_place};  // during the constructor, for what makes files
     // Of its thread only, after the constructor; but the ring:
     Files files_;
     Slots slots_;

@@ -2,6 +2,9 @@
 #include "audit/trail.hpp"
 
 #include <gmock/gmock.h>
+#include <pthread.h>
+#include <sched.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -124,6 +127,52 @@ TEST_F(AuditTrailTest, AFullDiskHoldsUpNobodyAndIsReportedOnce) {
     }
     EXPECT_EQ(lost + kept, 1000U);
     EXPECT_TRUE(folder.chain().whole());
+}
+
+/// In a child: its exit status is 0 if all went as it should.
+int underALimitOfFiles(const TrailSettings& settings) {
+    std::signal(SIGXFSZ, SIG_DFL);
+    rlimit before{};
+    ::getrlimit(RLIMIT_FSIZE, &before);
+    auto low = before;
+    low.rlim_cur = 1000;
+    if (::setrlimit(RLIMIT_FSIZE, &low) != 0) return 2;
+    std::atomic<bool> told{false}, over{false};
+    const auto report = [&](const std::string& line) {
+        if (line.find("fix: raise the limit of this process") != std::string::npos) told = true;
+        if (line.find("records are written again") != std::string::npos) over = true;
+    };
+    Trail trail(settings, "server", "", report);
+    sigset_t blocked, waiting;
+    pthread_sigmask(SIG_SETMASK, nullptr, &blocked);
+    sigpending(&waiting);
+    if (sigismember(&blocked, SIGXFSZ) != 0 || sigismember(&waiting, SIGXFSZ) != 0) return 3;
+    for (int i = 0; i < 20; ++i) trail.note({.kind = Kind::Stop, .what = std::to_string(i)});
+    if (!waitUntil([&] { return told.load(); })) return 4;
+    ::setrlimit(RLIMIT_FSIZE, &before);
+    return waitUntil([&] { return over.load(); }) ? 0 : 5;
+}
+
+TEST_F(AuditTrailTest, ALimitOnTheSizeOfFilesEndsNoProgramThatDoesNotKnowOfIt) {
+    const auto child = ::fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) ::_exit(underALimitOfFiles(settings));
+    int status = 0;
+    ::waitpid(child, &status, 0);
+    ASSERT_TRUE(WIFEXITED(status)) << "it is ended by signal " << WTERMSIG(status);
+    EXPECT_EQ(WEXITSTATUS(status), 0);
+    EXPECT_THAT(folder.records(), SizeIs(21));
+    EXPECT_THAT(folder.chain().faults, IsEmpty());
+}
+
+TEST_F(AuditTrailTest, ItsThreadIsOneForWhomNobodyWaits) {
+    std::atomic<int> policy{-1};
+    const Trail trail(settings, "server", "", report(), [&](int fd, const char* bytes, std::size_t count) {
+        policy = ::sched_getscheduler(0);
+        return ::write(fd, bytes, count);
+    });
+    EXPECT_TRUE(waitUntil([&] { return policy != -1; }));
+    EXPECT_EQ(policy, SCHED_BATCH);
 }
 
 TEST_F(AuditTrailTest, TheEndOfTheProgramDoesNotWaitForAFullDisk) {

@@ -46,7 +46,8 @@ bool schedule(pid_t thread, int real_time) {
     return ::sched_setscheduler(thread, real_time > 0 ? SCHED_FIFO : SCHED_OTHER, &parameters) == 0;
 }
 
-/// All threads of this process. Opened once: a flood of connections may leave no descriptor.
+/// All threads of this process but those that need none (SCHED_BATCH). Opened once: a flood of connections
+/// may leave no descriptor.
 class Threads {
   public:
     void schedule(pid_t but, int real_time) const {
@@ -54,7 +55,8 @@ class Threads {
         ::rewinddir(directory_.get());
         while (const auto* entry = ::readdir(directory_.get())) {
             const auto thread = static_cast<pid_t>(std::atoi(entry->d_name));
-            if (thread > 0 && thread != but) router_guard::schedule(thread, real_time);  // it may have ended
+            if (thread > 0 && thread != but && ::sched_getscheduler(thread) != SCHED_BATCH)
+                router_guard::schedule(thread, real_time);  // it may have ended
         }
     }
 

@@ -29,9 +29,9 @@ class CpuBudget {
 
 /// The priority of a router, whose threads pass stops on between threads with real-time priority (ADR 0018):
 /// real time while CpuBudget allows it, and nice -10, which goes before ordinary programs, otherwise and
-/// where real time is not permitted. Holds for all threads of the process. What is not permitted is told
-/// once. Threads: begin() and end() one; a thread of its own, with a higher priority, looks a hundred times a
-/// second.
+/// where real time is not permitted. Holds for all threads of the process but those with SCHED_BATCH, such as
+/// that of the audit trail, which may begin before. What is not permitted is told once. Threads: begin() and
+/// end() one; a thread of its own, with a higher priority, looks a hundred times a second.
 class Priority {
   public:
     /// `tell`: a sentence for the log, from begin().
@@ -39,7 +39,7 @@ class Priority {
     ~Priority() { end(); }
     Priority(const Priority&) = delete;
     Priority& operator=(const Priority&) = delete;
-    /// Before the process starts other threads, which have what this one has.
+    /// Before the process starts other threads that are to have what this one has.
     void begin();
     void end();
 

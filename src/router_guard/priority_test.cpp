@@ -79,8 +79,15 @@ TEST(Priority, AFloodOnTheOnlyProcessorLosesRealTimeAndGetsItBackWhenItEnds) {
         EXPECT_NE(told.back().find("LimitRTPRIO=10"), std::string::npos) << told.back();
         return;
     }
-    std::atomic<bool> enough{false};
-    std::atomic<pid_t> thread{0};
+    std::atomic<bool> enough{false}, ends{false};
+    std::atomic<pid_t> thread{0}, batch{0};
+    std::thread waits([&] {
+        const sched_param none{};
+        ::sched_setscheduler(0, SCHED_BATCH, &none);
+        batch = ::gettid();
+        ends.wait(false);
+    });
+    EXPECT_TRUE(waitUntil([&] { return batch != 0; }));
     std::thread floods([&] {
         thread = ::gettid();
         while (!enough) {
@@ -89,9 +96,14 @@ TEST(Priority, AFloodOnTheOnlyProcessorLosesRealTimeAndGetsItBackWhenItEnds) {
     // This thread does not run before the flood has lost real time.
     EXPECT_TRUE(waitUntil([&] { return thread != 0 && ::sched_getscheduler(thread) == SCHED_OTHER; }));
     EXPECT_EQ(::sched_getscheduler(0), SCHED_OTHER);
+    EXPECT_EQ(::sched_getscheduler(batch), SCHED_BATCH);
     enough = true;
     floods.join();
     EXPECT_TRUE(waitUntil([] { return ::sched_getscheduler(0) == SCHED_FIFO; }));
+    EXPECT_EQ(::sched_getscheduler(batch), SCHED_BATCH) << "as the thread of the audit trail";
+    ends = true;
+    ends.notify_all();
+    waits.join();
 }
 
 }  // namespace
