@@ -42,6 +42,9 @@ class Files {
     struct Bounds {
         std::uint64_t bytes = 16U << 20U;
         int files = 8;
+        // What a configuration may say (docs/reference/audit.md):
+        static constexpr std::int64_t kBytesLeast = 4096, kBytesMost = std::int64_t{1} << 40U;
+        static constexpr int kFilesLeast = 1, kFilesMost = 10'000;
     };
     using Write = std::function<ssize_t(int fd, const char* bytes, std::size_t count)>;
     using Sync = std::function<int(int fd)>;

@@ -311,9 +311,11 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         chosen(state, "Axon.State", defaultStateFolder(options.core.application, options.back_end.instance));
     if (const auto folder = chosen("", "Axon.Audit.Folder", ""); !folder.empty())
         options.audit.folder = options.state_folder / folder;  // or the folder itself, if it is absolute
-    options.audit.files.bytes =
-        static_cast<std::uint64_t>(integer("Axon.Audit.Size", "16777216", 4096, std::int64_t{1} << 40U));
-    options.audit.files.files = static_cast<int>(integer("Axon.Audit.Files", "8", 1, 10'000));
+    using Bounds = audit::Files::Bounds;
+    options.audit.files.bytes = static_cast<std::uint64_t>(
+        integer("Axon.Audit.Size", "16777216", Bounds::kBytesLeast, Bounds::kBytesMost));
+    options.audit.files.files =
+        static_cast<int>(integer("Axon.Audit.Files", "8", Bounds::kFilesLeast, Bounds::kFilesMost));
     return options;
 }
 

@@ -52,19 +52,15 @@ class RouterPlugin final : public RefusalsPlugin {
 }  // namespace
 
 extern "C" ICE_DECLSPEC_EXPORT Ice::Plugin* createAxonRouterGuard(const Ice::CommunicatorPtr& communicator,
-                                                                  const std::string& /*name*/,
+                                                                  const std::string& name,
                                                                   const Ice::StringSeq& /*arguments*/) {
-    return new RouterPlugin(communicator, axon::router_guard::watchRefusals(communicator));  // Ice deletes it
+    return new RouterPlugin(  // Ice deletes it
+        communicator, axon::router_guard::watchRefusals(communicator, "Ice.Plugin." + name, false));
 }
 
 extern "C" ICE_DECLSPEC_EXPORT Ice::Plugin* createAxonRefusals(const Ice::CommunicatorPtr& communicator,
-                                                               const std::string& /*name*/,
+                                                               const std::string& name,
                                                                const Ice::StringSeq& /*arguments*/) {
-    auto its = axon::router_guard::watchRefusals(communicator);
-    if (!its.refusals)
-        throw Ice::PluginInitializationException(__FILE__, __LINE__,
-                                                 "createAxonRefusals needs Ice.Trace.Network=2, without "
-                                                 "which Ice tells nobody whom it refuses; fix: "
-                                                 "add that line, which fills no log");
-    return new RefusalsPlugin(communicator, std::move(its));
+    return new RefusalsPlugin(communicator,
+                              axon::router_guard::watchRefusals(communicator, "Ice.Plugin." + name, true));
 }

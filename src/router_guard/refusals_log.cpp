@@ -59,9 +59,10 @@ std::string trailNameOf(const Ice::PropertiesPtr& properties) {
 std::unique_ptr<audit::AuditTrail> trailOf(const Ice::PropertiesPtr& properties, const Refusals::Say& say) {
     audit::TrailSettings settings;
     settings.folder = properties->getProperty(kFolder);
-    if (const auto bytes = number(properties, kSize, 4096, std::int64_t{1} << 40U))
+    using Bounds = audit::Files::Bounds;
+    if (const auto bytes = number(properties, kSize, Bounds::kBytesLeast, Bounds::kBytesMost))
         settings.files.bytes = static_cast<std::uint64_t>(bytes);
-    if (const auto files = number(properties, kFiles, 1, 10'000))
+    if (const auto files = number(properties, kFiles, Bounds::kFilesLeast, Bounds::kFilesMost))
         settings.files.files = static_cast<int>(files);
     if (settings.folder.empty()) return nullptr;
     const auto name = trailNameOf(properties);
@@ -70,6 +71,12 @@ std::unique_ptr<audit::AuditTrail> trailOf(const Ice::PropertiesPtr& properties,
     } catch (const std::exception& error) {
         refuseToStart(error.what());
     }
+}
+
+/// `set`: what needs the traces.
+std::string tracesMissing(const std::string& set) {
+    return set + " is set, but not " + kTraces + "=" + std::to_string(kNeededTraces) +
+           ", without which Ice tells nobody whom it refuses; fix: add that line, which fills no log";
 }
 
 const Clock& steadyClock() {
@@ -108,17 +115,17 @@ Ice::LoggerPtr RefusalsLog::cloneWithPrefix(const std::string& prefix) {
     return new RefusalsLog(before_->cloneWithPrefix(prefix), refusals_, pass_on_);
 }
 
-WatchedProgram watchRefusals(const Ice::CommunicatorPtr& communicator) {
+WatchedProgram watchRefusals(const Ice::CommunicatorPtr& communicator, const std::string& plug_in,
+                             bool for_this_only) {
     const auto properties = communicator->getProperties();
     refuseUnknown(properties);
     const auto traces = properties->getPropertyAsInt(kTraces);
     const auto before = communicator->getLogger();
     if (traces < kNeededTraces) {
-        if (properties->getProperty(kFolder).empty()) return {{}, before};
-        refuseToStart(std::string(kFolder) + " is set, but not " + kTraces + "=" +
-                      std::to_string(kNeededTraces) +
-                      ", without which Ice tells nobody whom it refuses; fix: add that line, which fills no "
-                      "log");
+        if (!properties->getProperty(kFolder).empty()) refuseToStart(tracesMissing(kFolder));
+        if (for_this_only) refuseToStart(tracesMissing(plug_in));
+        before->warning(tracesMissing(plug_in));
+        return {{}, before};
     }
     const Refusals::Say say = [before](const std::string& line) { before->warning(line); };
     const auto refusals = std::make_shared<Refusals>(trailOf(properties, say), steadyClock(), say);

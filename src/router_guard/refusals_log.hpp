@@ -29,12 +29,15 @@ class RefusalsLog final : public Ice::Logger {
 };
 
 /// What these properties say of refusals (docs/reference/audit.md): the logger of the program from now on.
-/// Null where the configuration has neither a trail nor the traces that are needed. Throws
-/// Ice::PluginInitializationException, with the fix, for a trail that cannot be kept or without the traces.
+/// `plug_in`: the property by which it was loaded; `for_this_only`: the plug-in does nothing else. Without
+/// the traces that are needed, and without a trail, that one throws; another warns, and `refusals` is null.
+/// Throws Ice::PluginInitializationException, with the fix, for a trail that cannot be kept, or that there
+/// would be without the traces.
 struct WatchedProgram {
     std::shared_ptr<Refusals> refusals;
     Ice::LoggerPtr logger;
 };
-WatchedProgram watchRefusals(const Ice::CommunicatorPtr& communicator);
+WatchedProgram watchRefusals(const Ice::CommunicatorPtr& communicator, const std::string& plug_in,
+                             bool for_this_only);
 
 }  // namespace axon::router_guard

@@ -29,6 +29,12 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::StartsWith;
 
+const std::string kRouterPlugin = "Ice.Plugin.AxonRouterGuard";
+const std::string kWithoutTraces =
+    " is set, but not Ice.Trace.Network=2, without which Ice tells nobody whom it refuses; fix: add that "
+    "line, "
+    "which fills no log";
+
 /// The logger that a program has before the plug-in.
 class Kept final : public Ice::Logger {
   public:
@@ -79,14 +85,14 @@ class Program {
 
     /// As the plug-in does it.
     WatchedProgram watched() const {
-        auto its = watchRefusals(communicator);
+        auto its = watchRefusals(communicator, kRouterPlugin, false);
         const Ice::PluginPtr installs = new Ice::LoggerPlugin(communicator, its.logger);
         return its;
     }
     /// Why it does not start.
-    std::string refused() const {
+    std::string refused(const std::string& plug_in = kRouterPlugin, bool for_this_only = false) const {
         try {
-            watchRefusals(communicator);
+            watchRefusals(communicator, plug_in, for_this_only);
             return "it starts";
         } catch (const Ice::PluginInitializationException& error) {
             return error.reason;
@@ -149,7 +155,7 @@ TEST(RefusalsLog, AStrangerAtARealPortIsRecordedWithItsAddress) {
 
 TEST(RefusalsLog, PassesOnWhatIsNotForIt) {
     const Program program({{"Ice.Trace.Network", "2"}});
-    const auto log = watchRefusals(program.communicator).logger;
+    const auto log = watchRefusals(program.communicator, kRouterPlugin, false).logger;
     log->print("a");
     log->warning("b");
     log->error("c");
@@ -163,15 +169,24 @@ TEST(RefusalsLog, PassesOnWhatIsNotForIt) {
 
 TEST(RefusalsLog, PassesOnTracesOfTheNetworkThatWereAskedFor) {
     const Program program({{"Ice.Trace.Network", "3"}});
-    watchRefusals(program.communicator).logger->trace("Network", "e");
+    watchRefusals(program.communicator, kRouterPlugin, false).logger->trace("Network", "e");
     EXPECT_THAT(program.log->lines(), ElementsAre("trace Network e"));
 }
 
-TEST(RefusalsLog, WithoutTracesARouterKeepsItsLogger) {
+TEST(RefusalsLog, WithoutTracesARouterKeepsItsLoggerAndIsWarnedOnce) {
     const Program program({});
-    const auto its = watchRefusals(program.communicator);
+    const auto its = watchRefusals(program.communicator, kRouterPlugin, false);
     EXPECT_FALSE(its.refusals);
     EXPECT_EQ(its.logger.get(), program.log.get());
+    EXPECT_THAT(program.log->lines(), ElementsAre("warning " + kRouterPlugin + kWithoutTraces));
+}
+
+TEST(RefusalsLog, WithoutTracesAPlugInForNothingElseRefusesToStart) {
+    const Program program({});
+    EXPECT_EQ(program.refused("Ice.Plugin.AxonRefusals", true), "Ice.Plugin.AxonRefusals" + kWithoutTraces);
+    EXPECT_THAT(program.log->lines(), testing::IsEmpty());
+    const Program traced({{"Ice.Trace.Network", "2"}});
+    EXPECT_EQ(traced.refused("Ice.Plugin.AxonRefusals", true), "it starts");
 }
 
 TEST(RefusalsLog, ATrailThatCannotBeKeptEndsTheStart) {
@@ -179,9 +194,7 @@ TEST(RefusalsLog, ATrailThatCannotBeKeptEndsTheStart) {
     const auto refused = [](const std::map<std::string, std::string>& properties) {
         return Program(properties).refused();
     };
-    EXPECT_THAT(
-        refused({{"Axon.Audit.Folder", folder.path.string()}}),
-        HasSubstr("but not Ice.Trace.Network=2, without which Ice tells nobody whom it refuses; fix:"));
+    EXPECT_EQ(refused({{"Axon.Audit.Folder", folder.path.string()}}), "Axon.Audit.Folder" + kWithoutTraces);
     EXPECT_THAT(refused({{"Ice.Trace.Network", "2"}, {"Axon.Audit.Folder", "/dev/null/audit"}}),
                 HasSubstr("cannot be kept in '/dev/null/audit'"));
     EXPECT_THAT(refused({{"Ice.Trace.Network", "2"}, {"Axon.Audit.Floder", "x"}}),

@@ -259,12 +259,15 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         {"Axon.Audit.Folder", [&](const auto&, const auto& text) { settings.audit.folder = text; }},
         {"Axon.Audit.Size",
          [&](const auto& where, const auto& text) {
+             using Bounds = audit::Files::Bounds;
              settings.audit.files.bytes =
-                 static_cast<std::uint64_t>(number(where, text, 4096, std::int64_t{1} << 40U));
+                 static_cast<std::uint64_t>(number(where, text, Bounds::kBytesLeast, Bounds::kBytesMost));
          }},
         {"Axon.Audit.Files",
          [&](const auto& where, const auto& text) {
-             settings.audit.files.files = static_cast<int>(number(where, text, 1, 10'000));
+             using Bounds = audit::Files::Bounds;
+             settings.audit.files.files =
+                 static_cast<int>(number(where, text, Bounds::kFilesLeast, Bounds::kFilesMost));
          }},
         {"FrontEndServerTopic.Endpoints", endpoint(settings.topic_endpoint)},
         {"FrontEndServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
