@@ -66,6 +66,7 @@ from client import Client  # noqa: E402
 from direct_path import CLAIM, CLIENT, KEPT, REFUSAL, frame, proof  # noqa: E402
 import ice_wire as ice  # noqa: E402
 from deployed import Deployed, Misconfigured, RoutedClient, Unready, missing_programs  # noqa: E402
+from configuration import Place  # noqa: E402
 from ice_wire import Ended, Silent, WebSocket, Wire  # noqa: E402
 
 CONTRACT = {ice.CONTRACT: str(CommUtil.ContractNumber)}
@@ -136,13 +137,13 @@ class Station:
 
 class Port:
     def __init__(self, name, station, speaks, number, tls=None, plain=None, unit=None, revoking=None, gate=None, recorded=True, lane="data",
-                 only=None, of_ice=False):
+                 only=None, of_ice=False, of_cluster=False):
         """`tls`, `plain`: addresses; `unit`: the kind of certificate that is right there; `revoking`: (station, address) of a port of
         the same kind that knows of revoked certificates; `gate`: the object that strangers call; `only`: other kinds of certificates
-        that the handshake lets in, where it refuses the rest; `of_ice`: a program of Ice's, of the cluster."""
+        that the handshake lets in, where it refuses the rest; `of_ice`: a program of Ice's; `of_cluster`: one of the cluster's."""
         self.name, self.station, self.speaks, self.number = name, station, speaks, number
         self.tls, self.plain, self.unit, self.revoking, self.gate, self.recorded, self.lane = tls, plain, unit, revoking, gate, recorded, lane
-        self.only, self.of_ice = only, of_ice
+        self.only, self.of_ice, self.of_cluster = only, of_ice, of_cluster
 
     def source(self, rng):
         """An address of this machine, which is a source of its own to those who bound what each may do."""
@@ -318,16 +319,24 @@ class Siege:
             print("no glacier2router: its port is left out", file=sys.stderr)
             return []
         port = free_port()
-        example = (ROOT / "deploy/config/clientrouter.cfg").read_text().replace("#Glacier2", "Glacier2").replace("#Ice", "Ice")
-        for usual, ours in (("tcp -h 127.0.0.1 -p 10414", f"ssl -h 127.0.0.1 -p {port}"), ("-p 10415", f"-p {free_port()}"),
+        example = (ROOT / "deploy/config/clientrouter.cfg").read_text()
+        for key in ("Glacier2.SSLSessionManager", "Glacier2.SSLPermissionsVerifier", "Ice.Plugin.IceSSL", "IceSSL.VerifyPeer", "Ice.Plugin.AxonRouterGuard",
+                    "Ice.Trace.Network", "Axon.Audit.Folder", "Axon.Audit.Name"):
+            example, lines = re.subn(rf"^#(?={re.escape(key)}=)", "", example, flags=re.MULTILINE)
+            if lines != 1:
+                raise Failed(f"deploy/config/clientrouter.cfg has {lines} lines #{key}=…; expected one")
+        trail, (guard, file) = self.lab.folder / "audit-router", Place("", BIN, "").guard()
+        if not file.exists():
+            raise Failed(f"no {file}, the router's plug-in; fix: build the target axon_router_guard")
+        for usual, ours in (("/usr/lib/axon/axonrouterguard", str(guard)), ("/var/lib/axon-router/audit", str(trail)), ("tcp -h 127.0.0.1 -p 10414", f"ssl -h 127.0.0.1 -p {port}"), ("-p 10415", f"-p {free_port()}"),
                             ("-p 10416", f"-p {door[1]}")):
             example = example.replace(usual, ours)
         config = self.write("router.cfg", example, *self.certified("router"), "IceSSL.Protocols=TLS1_3", "Ice.PrintAdapterReady=1")
         process = self.lab.start("router", program, f"--Ice.Config={config}")
         process.wait_for("Glacier2.Client ready")
-        station = Station(process)
+        station = Station(process, trail)
         self.stations.append(station)
-        return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", recorded=False)]
+        return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", of_ice=True)]
 
     def find_console(self, at, signal_port):
         self.console = loopback(at.rstrip("/"))
@@ -449,7 +458,8 @@ class Siege:
             station = next((one for one in self.stations if one.process.name == program), None) or Station(self.deployed.program(program), trail)
             if station not in self.stations:
                 self.stations.append(station)
-            ports.append(Port(port, station, "ice", number, self.deployed.at(program, what), None, unit, recorded=bool(trail), only=only, of_ice=True))
+            ports.append(Port(port, station, "ice", number, self.deployed.at(program, what), None, unit, recorded=bool(trail), only=only, of_ice=True,
+                              of_cluster=True))
         self.stations += [Station(self.deployed.program(name)) for name in self.deployed.ports
                           if name not in [one.process.name for one in self.stations]]
         return ports
@@ -612,7 +622,7 @@ def say_wrong(siege, port, rng, wire):
         return claim_on(siege, port, rng, wire)
     wire.validated()
     if port.name == "router":
-        return router_log_in_on(wire, port, rng)
+        return router_log_in_on(siege, wire, rng)
     if port.lane == "signal":
         return attach_on(wire, port, token(rng))
     if port.lane == "direct":
@@ -847,16 +857,17 @@ def unknown_verifier(siege, port, rng, source):
 def router_log_in(siege, port, rng, source):
     wire = siege.wire(port, source)
     try:
-        return router_log_in_on(wire.validated(), port, rng)
+        return router_log_in_on(siege, wire.validated(), rng)
     except Ended:
         wire.close()
     return Case(wire.me, port.station)
 
 
-def router_log_in_on(wire, port, rng):
+def router_log_in_on(siege, wire, rng):
+    """The server refuses it, and is told the address by the router."""
     refused(wire, *wire.call("router", "createSession", ice.text("ann") + ice.text("wrong %d" % rng.randrange(1000)), category="Axon.Clients",
                              context=CONTRACT))
-    return Case(wire.me, port.station)
+    return Case(wire.me, siege.server)
 
 
 # At the ports of direct paths.
@@ -1087,6 +1098,8 @@ link_no_hello = link_says(lambda siege, rng: link_frame(link_pb2.EmToEi(stop=lin
 CERTIFICATES = [("foreign CA", bad_certificate("foreign"), 3), ("expired", bad_certificate("expired"), 2), ("not yet valid", bad_certificate("early"), 1),
                 ("revoked", bad_certificate("revoked"), 2), ("no certificate", no_certificate, 1), ("wrong kind", wrong_kind, 3)]
 TLS = [("garbage to TLS", garbage_to_tls, 2), ("replayed handshake", replayed_tls, 2), ("old TLS", old_tls, 1)]
+# What a program of Ice's refuses and does not record, and why (docs/reference/audit.md, "What is not recorded").
+UNRECORDED = {"unknown call": "Ice answers it, and its traces do not tell"}
 ICE = [("garbage", garbage, 2), ("other version", other_version, 1), ("unknown message", unknown_message, 1), ("oversize", oversize, 2),
        ("impossible size", impossible_size, 1), ("cut message", cut_message, 1), ("bad compression", bad_compression, 1), ("unknown call", unknown_call, 2)]
 LOG_INS = [("wrong password", wrong_password, 1), ("flood of log-ins", log_in_flood, 1), ("second session", second_session, 1),
@@ -1102,7 +1115,7 @@ def table(port):
             rows += [row for row in CERTIFICATES if row[0] != "revoked" or port.revoking]
     if port.speaks == "ice":
         # A peer of a topic port, and of one of Ice's programs, has shown the certificate of a server.
-        rows += [row for row in ICE if row[0] != "unknown call" or not (port.name.startswith("topic") or port.of_ice)]
+        rows += [row for row in ICE if row[0] != "unknown call" or not (port.name.startswith("topic") or port.of_cluster)]
         rows += {"client-data": LOG_INS, "entity-data": LOG_INS, "client-signal": ATTACH, "entity-signal": ATTACH, "topic": [("call of servers", call_of_servers, 2)],
                  "topic-signal": [("call of servers", call_of_servers, 2)], "router-door": [("wrong password", unknown_verifier, 2)],
                  "router": [("wrong password", router_log_in, 2)], "partner-client": [("another user", others_user, 4)],
@@ -1218,7 +1231,8 @@ def check_port(siege, port, index):
         try:
             case = function(siege, port, rng, port.source(rng))
             case.kind, case.seed, case.first = kind, seed, first
-            cases.append(case)
+            if not (port.of_ice and kind in UNRECORDED and case.station is port.station):
+                cases.append(case)
         except (NotRefused, Silent, Ended, AssertionError, OSError) as error:
             failures.append(f"{port.name}, {kind} ({seed}): {type(error).__name__}: {error}")
             if len(failures) > 20:
@@ -1239,14 +1253,14 @@ def check_port(siege, port, index):
             flood_source = flood(siege, port)
         except (NotRefused, OSError) as error:
             failures.append(f"{port.name}, flood of connections: {error}")
-    # Ice closes half-open connections of its own programs by its time-outs, which is no refusal.
-    records = check_records(port, cases, slow_ones if not port.of_ice else None, flood_source if not port.of_ice else None, failures) if port.recorded else 0
+    records = check_records(port, cases, slow_ones, flood_source, failures) if port.recorded else 0
     return {"port": port.name, "cases": sum(figures.values()), "kinds": dict(figures), "records": records, "failures": len(failures),
             "seconds": round(time.monotonic() - began, 1)}, failures
 
 
 def check_records(port, cases, slow_ones, flood_source, failures):
     found, missing = 0, 0
+    one_by_one = port.speaks == "http" or port.of_ice  # Ice has no bounds that end many together
     for case in cases:
         records = case.station.told_of(case.peer, 5 if missing < 3 else 0)
         if not records:
@@ -1258,15 +1272,15 @@ def check_records(port, cases, slow_ones, flood_source, failures):
             failures.append(f"{port.name}, {case.kind}: the log does not have {case.peer}, of which the record says '{records[-1]['what']}'")
     if slow_ones:
         def accounted():
-            return port.station.counted(slow_ones.source, port.speaks == "http") >= slow_ones.count
+            return port.station.counted(slow_ones.source, one_by_one) >= slow_ones.count
         try:
             wait_until(accounted, "", 25)
             found += slow_ones.count
         except Failed:
-            failures.append(f"{port.name}: the records tell of {port.station.counted(slow_ones.source, port.speaks == 'http')} of {slow_ones.count} half-open connections")
+            failures.append(f"{port.name}: the records tell of {port.station.counted(slow_ones.source, one_by_one)} of {slow_ones.count} half-open connections")
     if flood_source:
         try:
-            wait_until(lambda: port.station.counted(flood_source, port.speaks == "http"), "", 25)
+            wait_until(lambda: port.station.counted(flood_source, one_by_one), "", 25)
             found += 1
         except Failed:
             failures.append(f"{port.name}: the records tell nothing of a flood of connections")
@@ -1325,7 +1339,7 @@ def attack_ports(siege, figures, failures):
     for index, port in enumerate(siege.ports):
         for honest in siege.honest:
             # Who is behind the routers is compared while the cluster is attacked.
-            honest.times = honest.attacked if honest is siege.honest[0] or port.of_ice else []
+            honest.times = honest.attacked if honest is siege.honest[0] or port.of_cluster else []
         its, failed = check_port(siege, port, index)
         if its:
             figures.append(its)
