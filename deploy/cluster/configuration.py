@@ -386,15 +386,23 @@ Ice.Admin.Enabled=0
 def refused(plan, name):
     """Of a program of Ice's with the plug-in: what it needs to know who is refused, and where it is recorded."""
     program = name.partition("@")[0]
-    return "# The plug-in says in the log who is refused, which Ice tells in these traces only. They do not fill the log:\nIce.Trace.Network=2\n" + (
-        f"# It is recorded here, too (docs/reference/audit.md), in a trail of this name:\n"
-        f"Axon.Audit.Folder={plan.folder}/audit\nAxon.Audit.Name={program}\n" if plan.audited else "")
+    traces = """\
+# The plug-in says in the log who is refused, which Ice tells in these traces only. They do not fill the log:
+Ice.Trace.Network=2
+"""
+    if not plan.audited:
+        return traces
+    return traces + f"""\
+# It is recorded here, too (docs/reference/audit.md), in a trail of this name:
+Axon.Audit.Folder={plan.folder}/audit
+Axon.Audit.Name={program}
+"""
 
 
 def refusals(plan, name, place):
     """The same, of one that is no router, with the plug-in."""
     return f'''\
-# A plug-in of Axon's, for who is turned away:
+# A plug-in of Axon's, which tells who is refused:
 Ice.Plugin.AxonRefusals="{place.guard()[0]}:createAxonRefusals"
 {refused(plan, name)}'''
 
