@@ -4,7 +4,7 @@
 changed unnoticed.
 
 Behind routers there are two servers of each kind. On one machine their trails are in one folder, and each of several machines
-has a folder of its own.
+has a folder of its own, in which routers, IceStorm and IceGrid keep theirs, too.
 
     python3 tests/e2e/audit_test.py --bin build/dev/bin [unittest options]
 """
@@ -73,8 +73,22 @@ class AuditTest(unittest.TestCase):
         return [line for line in lines if line["event"] == "audit_record"]
 
     def of_servers(self, *words):
-        """The same of the servers of all machines."""
-        return [record for folder in self.folders for record in self.records(folder, *words)]
+        """The same of the servers of all machines, without the programs of Ice."""
+        return [record for folder in self.folders for record in self.records(folder, *words) if record["trail"].startswith("axon-server")]
+
+    def trails_of_ice(self, machine):
+        """What the trails of Ice's programs on that machine are called."""
+        return {"icegridnode", *(name for name in self.lab.layout[machine].split() if not name.startswith(("fe", "es")))}
+
+    def assert_trails_of_ice(self):
+        """Each is on its machine; `axon-cluster up` configures none."""
+        if self.lab.environment == "machines":
+            expected = {self.lab.server.here(machine) / "audit": self.trails_of_ice(machine) for machine in self.lab.layout}
+        else:
+            expected = {folder: set() for folder in self.folders}
+        for folder, names in expected.items():
+            started = {record["trail"] for record in self.records(folder, "--kind", "started")}
+            self.assertEqual({name for name in started if not name.startswith("axon-server")}, names, folder)
 
     def trails(self):
         """{a server: what its trail is called}."""
@@ -102,6 +116,7 @@ class AuditTest(unittest.TestCase):
         self.assertLessEqual({"started", "login", "session", "ownership", "command", "refusal", "stop", "rearm"},
                              {line["kind"] for line in everything})
         self.assertEqual({line["trail"] for line in everything}, set(self.trails().values()), "each server has its own")
+        self.assert_trails_of_ice()
         refused = self.of_servers("--kind", "refusal", "--user", "stranger")
         self.assertEqual([line["outcome"] for line in refused][:1], ["PERMISSION_DENIED"])
         self.assertIn(refused[0]["peer"].rpartition(":")[0] or refused[0]["peer"], self.expected_peers(), refused)
@@ -145,7 +160,7 @@ class AuditTest(unittest.TestCase):
             self.assertEqual(bool(changed), folder == file.parent, said)
 
     def assert_stops_of_boss(self, count):
-        """So many are recorded by front-end servers; where those are other processes, entity servers that pass them on record them, too."""
+        """That many are recorded by front-end servers; where those are other processes, entity servers that pass them on record them, too."""
         stops = self.of_servers("--kind", "stop", "--user", "boss")
         passed_on = [line for line in stops if line["trail"].startswith("axon-server-es")]
         asked_for = [line for line in stops if line not in passed_on]
@@ -157,9 +172,10 @@ class AuditTest(unittest.TestCase):
 
     def expected_peers(self):
         """Where somebody comes from who is refused at the door."""
-        if not self.lab.behind_routers:
+        if self.lab.environment != "machines":
             return ["127.0.0.1"]
-        return [self.lab.at["clients"].rpartition(":")[0], "a router or the web console"]
+        import machines  # which needs root
+        return [f"{machines.NETWORK}.254"]  # the client's own, not the router's
 
 
 if __name__ == "__main__":
