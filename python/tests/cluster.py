@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""The laboratory of the tests as a cluster over TLS, of one machine or several (AXON_ENVIRONMENT): Axon's programs in processes of their own, and scripted robots that are
-robot applications in Python. It is used as that of support.py."""
+"""The laboratory of the tests as a cluster over TLS, of one machine or several (AXON_ENVIRONMENT): Axon's programs in processes of
+their own, and scripted robots that are robot applications in Python. It is used as that of support.py."""
 import os
 import pathlib
 import queue

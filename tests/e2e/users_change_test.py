@@ -107,6 +107,17 @@ class UsersTest(unittest.TestCase):
     def log(self):
         return "".join(self.logs())
 
+    def wait_until_taken(self):
+        """Each server has taken the file as it is now."""
+        said = self.users("list")
+        wait_until(lambda: all(prints and prints[-1] in said for prints in map(self.fingerprints, self.logs())),
+                   "each server has taken the file")
+
+    @staticmethod
+    def fingerprints(log):
+        """Of the files that this server has taken."""
+        return re.findall("users: taken: .*fingerprint ([0-9a-f]{8})", log)
+
     def test_a_removed_user_is_out_and_the_robot_stops(self):
         self.does(self.client1, "checkout", "left")
         self.does(self.client1, "run", "left", "Wait", "Seconds=60", "--detach")
@@ -117,6 +128,7 @@ class UsersTest(unittest.TestCase):
         for guest in (self.guest, *self.guests):
             wait_until(lambda its=guest: self.entities(its)["left"]["latched"], "the robot has stopped")
             wait_until(lambda its=guest: not self.entities(its)["left"]["holder"], "the lease has ended")
+        self.wait_until_taken()
         self.assertIn("the user 'client1' was removed", self.log())
         self.client1.end()
         for client1 in (self.client1, *self.everywhere("client1")):
@@ -152,10 +164,7 @@ class UsersTest(unittest.TestCase):
         wait_until(lambda: elsewhere.axon("ls")[0] != 0, "the session at the other machine ends, too")
         elsewhere.end()
         self.assertEqual(self.refused(elsewhere, "ls"), "PERMISSION_DENIED")
-        wait_until(lambda: all("users: taken" in log for log in self.logs()), "each server has taken the file")
-        prints = {re.findall("users: taken: .*fingerprint ([0-9a-f]{8})", log)[-1] for log in self.logs()}
-        self.assertEqual(len(prints), 1, prints)
-        self.assertIn(prints.pop(), self.users("list"))
+        self.wait_until_taken()
 
     def test_a_file_with_an_error_changes_nothing_and_a_lower_role_does(self):
         good = self.file.read_text()
@@ -169,7 +178,7 @@ class UsersTest(unittest.TestCase):
         wait_until(lambda: "the role of the user 'client1' became observer" in self.log(), "it is taken over")
         for guest in (self.guest, *self.guests):
             wait_until(lambda its=guest: not self.entities(its)["left"]["holder"], "the lease has ended")
-        wait_until(lambda: all("users: taken" in log for log in self.logs()), "each server has taken the file")
+        self.wait_until_taken()
         self.does(self.boss, "rearm", "left")
         self.client1.end()
         for client1 in (self.client1, *self.everywhere("client1")):
