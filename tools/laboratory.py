@@ -184,10 +184,10 @@ class Cluster(Programs):
     def up(self):
         first = not (self.folder / "running.json").exists()
         self.do("up", *self.shape)
-        if first and self.lab.add_lines(self.folder):
-            self.do("down")
-            self.do("up")
         self.status = json.loads(self.do("status", "--json"))
+        if first and self.lab.add_lines(self.folder):
+            for name in self.names("fe", "es"):
+                self.do("restart", name)
 
     def users_files(self):
         return [self.folder / "users.cfg"]
@@ -217,6 +217,8 @@ class Laboratory:
     """
 
     def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None, speed=None, layout=None, servers=1):
+        if servers not in (1, 2):
+            raise Failed(f"servers={servers}: expected 1 or 2")
         self.speed = speed
         self.world = None
         self.environment = environment or os.environ.get("AXON_ENVIRONMENT") or "embedded"
@@ -229,6 +231,7 @@ class Laboratory:
             self.layout = layout or (machines.THREE if servers == 1 else machines.THREE_WITH_TWO)
         self.servers = servers
         self.server = None
+        self.users = None  # the file of one server that was started with --users
         self.server_lines = ""  # in the configuration of each server
         self.front_end_lines = ""  # of a cluster or machines, in the configuration of each front-end server
         self.bin = pathlib.Path(programs).resolve()
@@ -301,8 +304,8 @@ class Laboratory:
         return bool(self.server_lines + self.front_end_lines)
 
     def users_files(self):
-        """Where the servers read who may log in: one file, or that of each machine."""
-        return self.server.users_files() if self.behind_routers else [self.users]
+        """Where the servers read who may log in: one file, or that of each machine; none where one server has no --users."""
+        return self.server.users_files() if self.behind_routers else [self.users] if self.users else []
 
     def server_logs(self):
         """{name of a server: what it has logged}."""
