@@ -244,6 +244,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
             servers.clients.keepAlive(client);
             servers.entities.keepAlive(entity);
             servers.clients.onTimer();
+            servers.clients.tellHeld();
             servers.entities.onTimer();
         }
     }
