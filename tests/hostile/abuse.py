@@ -864,9 +864,9 @@ def router_log_in(siege, port, rng, source):
 
 
 def router_log_in_on(siege, wire, rng):
-    """The server refuses it, and is told the address by the router."""
+    """The server refuses it, and is told the address by the router, whatever the peer itself says of it."""
     refused(wire, *wire.call("router", "createSession", ice.text("ann") + ice.text("wrong %d" % rng.randrange(1000)), category="Axon.Clients",
-                             context=CONTRACT))
+                             context={**CONTRACT, "_con.remoteAddress": "192.0.2.1", "_con.remotePort": "1"}))
     return Case(wire.me, siege.server)
 
 
