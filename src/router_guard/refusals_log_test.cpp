@@ -71,7 +71,8 @@ class Kept final : public Ice::Logger {
 /// A program of Ice's with this configuration.
 class Program {
   public:
-    explicit Program(const std::map<std::string, std::string>& properties) {
+    using Properties = std::map<std::string, std::string>;
+    explicit Program(const Properties& properties) {
         Ice::InitializationData data;
         data.properties = Ice::createProperties();
         data.properties->setProperty("Ice.ProgramName", "/usr/bin/glacier2router");
@@ -128,9 +129,9 @@ TEST(RefusalsLog, AStrangerAtARealPortIsRecordedWithItsAddress) {
     const TrailFolder folder;
     std::string peer;
     {
-        const Program program({{"Ice.Trace.Network", "2"},
-                               {"Axon.Audit.Folder", folder.path.string()},
-                               {"Axon.Audit.Name", "client-router"}});
+        const Program program(Program::Properties{{"Ice.Trace.Network", "2"},
+                                                  {"Axon.Audit.Folder", folder.path.string()},
+                                                  {"Axon.Audit.Name", "client-router"}});
         const auto its = program.watched();
         const auto adapter = program.communicator->createObjectAdapterWithEndpoints(
             "Clients", "tcp -h " + axon::test::loopbackAddress() + " -p 0");
@@ -154,7 +155,7 @@ TEST(RefusalsLog, AStrangerAtARealPortIsRecordedWithItsAddress) {
 }
 
 TEST(RefusalsLog, PassesOnWhatIsNotForIt) {
-    const Program program({{"Ice.Trace.Network", "2"}});
+    const Program program(Program::Properties{{"Ice.Trace.Network", "2"}});
     const auto log = watchRefusals(program.communicator, kRouterPlugin, false).logger;
     log->print("a");
     log->warning("b");
@@ -168,13 +169,13 @@ TEST(RefusalsLog, PassesOnWhatIsNotForIt) {
 }
 
 TEST(RefusalsLog, PassesOnTracesOfTheNetworkThatWereAskedFor) {
-    const Program program({{"Ice.Trace.Network", "3"}});
+    const Program program(Program::Properties{{"Ice.Trace.Network", "3"}});
     watchRefusals(program.communicator, kRouterPlugin, false).logger->trace("Network", "e");
     EXPECT_THAT(program.log->lines(), ElementsAre("trace Network e"));
 }
 
 TEST(RefusalsLog, WithoutTracesARouterKeepsItsLoggerAndIsWarnedOnce) {
-    const Program program({});
+    const Program program(Program::Properties{});
     const auto its = watchRefusals(program.communicator, kRouterPlugin, false);
     EXPECT_FALSE(its.refusals);
     EXPECT_EQ(its.logger.get(), program.log.get());
@@ -182,10 +183,10 @@ TEST(RefusalsLog, WithoutTracesARouterKeepsItsLoggerAndIsWarnedOnce) {
 }
 
 TEST(RefusalsLog, WithoutTracesAPlugInForNothingElseRefusesToStart) {
-    const Program program({});
+    const Program program(Program::Properties{});
     EXPECT_EQ(program.refused("Ice.Plugin.AxonRefusals", true), "Ice.Plugin.AxonRefusals" + kWithoutTraces);
     EXPECT_THAT(program.log->lines(), testing::IsEmpty());
-    const Program traced({{"Ice.Trace.Network", "2"}});
+    const Program traced(Program::Properties{{"Ice.Trace.Network", "2"}});
     EXPECT_EQ(traced.refused("Ice.Plugin.AxonRefusals", true), "it starts");
 }
 
