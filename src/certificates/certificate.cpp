@@ -65,11 +65,12 @@ std::string pemOf(gnutls_x509_privkey_t key) {
     return taken(out);
 }
 
-KeyId idOfKey(gnutls_x509_privkey_t key) {
+/// `get`: GnuTLS' function for the id of the key that `it` is or has.
+template <class It>
+KeyId keyId(int (*get)(It, unsigned int, unsigned char*, std::size_t*), It it) {
     KeyId id{};
     auto size = id.size();
-    require(gnutls_x509_privkey_get_key_id(key, GNUTLS_KEYID_USE_SHA256, id.data(), &size),
-            "the id of a key");
+    require(get(it, GNUTLS_KEYID_USE_SHA256, id.data(), &size), "the id of a key");
     return id;
 }
 
@@ -202,11 +203,7 @@ std::string taken(gnutls_datum_t& from) {
 }
 
 KeyId idOf(gnutls_x509_crt_t certificate) {
-    KeyId id{};
-    auto size = id.size();
-    require(gnutls_x509_crt_get_key_id(certificate, GNUTLS_KEYID_USE_SHA256, id.data(), &size),
-            "the id of a key");
-    return id;
+    return keyId(&gnutls_x509_crt_get_key_id, certificate);
 }
 
 std::string hexOf(std::string_view bytes) {
@@ -378,7 +375,7 @@ Signer signerOf(const Issued& authority, WallTime now) {
                                     GNUTLS_PKCS_PLAIN) < 0)
         throw Unusable("the CA's key is no private key in PEM form (-----BEGIN PRIVATE KEY-----)",
                        "restore ca.key.pem from where you keep a copy, or " + std::string(kAnew));
-    if (idOf(issuer) != idOfKey(issuers_key.get()))
+    if (idOf(issuer) != keyId(&gnutls_x509_privkey_get_key_id, issuers_key.get()))
         throw Unusable("the CA's key is not the one of its certificate",
                        "restore ca.key.pem from where you keep a copy, or " + std::string(kAnew));
     return {std::move(all.front()), std::move(issuers_key)};

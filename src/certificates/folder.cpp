@@ -295,9 +295,14 @@ Revoked Folder::revoke(const std::vector<std::string>& names, std::optional<std:
                        "leave --days out, and the list is valid as long as the CA");
     const auto previous = revocationList().value_or(RevocationList{});
     auto serials = previous.serials;
+    const auto isFile = [](const std::string& name) {
+        return name.find('/') != std::string::npos || name.ends_with(".pem");
+    };
+    const auto issued =
+        std::all_of(names.begin(), names.end(), isFile) ? std::vector<Entry>{} : issuedSoFar();
     for (const auto& name : names) {
         std::set<std::string> its;
-        const bool is_file = name.find('/') != std::string::npos || name.ends_with(".pem");
+        const bool is_file = isFile(name);
         const auto file = is_file ? fs::path(name) : path_ / (name + kCertificateEnd);
         std::error_code error;
         if (is_file || fs::exists(file, error)) {
@@ -311,7 +316,7 @@ Revoked Folder::revoke(const std::vector<std::string>& names, std::optional<std:
             if (is_file || one.until > now) its.insert(one.serial);
         }
         if (!is_file)
-            for (const auto& one : issuedSoFar())
+            for (const auto& one : issued)
                 if (one.stem == name && one.until > now) its.insert(one.serial);
         if (its.empty())
             throw Unusable("no certificate that is still valid was issued as '" + name + "'",

@@ -6,8 +6,9 @@
 #include <sys/stat.h>
 
 #include <fstream>
-#include <functional>
 #include <iterator>
+
+#include "certificates/testing.hpp"
 
 namespace axon::certificates {
 namespace {
@@ -30,15 +31,6 @@ unsigned modeOf(const fs::path& file) {
     struct stat facts {};
     ::stat(file.c_str(), &facts);
     return facts.st_mode & 0777U;
-}
-
-std::string complaint(const std::function<void()>& action) {
-    try {
-        action();
-    } catch (const Unusable& unusable) {
-        return std::string(unusable.what()) + "; fix: " + unusable.fix();
-    }
-    return "accepted";
 }
 
 class CertificateFolder : public testing::Test {

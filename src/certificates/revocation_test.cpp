@@ -6,13 +6,13 @@
 
 #include <array>
 #include <fstream>
-#include <functional>
 #include <map>
 #include <set>
 #include <thread>
 #include <vector>
 
 #include "certificates/folder.hpp"
+#include "certificates/testing.hpp"
 
 namespace axon::certificates {
 namespace {
@@ -22,15 +22,6 @@ using testing::HasSubstr;
 namespace fs = std::filesystem;
 
 constexpr WallTime kNow{sys_days{year{2026} / 11 / 21}};
-
-std::string complaint(const std::function<void()>& action) {
-    try {
-        action();
-    } catch (const Unusable& unusable) {
-        return std::string(unusable.what()) + "; fix: " + unusable.fix();
-    }
-    return "accepted";
-}
 
 class Revocation : public testing::Test {
   protected:

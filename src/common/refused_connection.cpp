@@ -45,13 +45,13 @@ constexpr const char* kWithoutReason =
     "no certificate was shown (axon certs issue makes one), or the peer does not speak TLS 1.3, or it ended "
     "the handshake, as one does that does not accept this program's certificate";
 
+/// The same at a port that asks for no certificate.
+constexpr const char* kNoTls = "the peer does not speak TLS 1.3";
+
 /// What OpenSSL says where the peer has said so with an alert: "tlsv1 alert unknown ca".
 constexpr const char* kRefusedByPeer =
     "the peer does not accept this program's certificate (compare IceSSL.CAs of the peer, and the name or "
     "address that it called)";
-
-/// The same at a port that asks for no certificate.
-constexpr const char* kNoTls = "the peer does not speak TLS 1.3";
 
 /// By the names of Ice's exceptions.
 constexpr Reason kProtocolReasons[] = {

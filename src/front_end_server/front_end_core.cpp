@@ -854,13 +854,14 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
 void FrontEndCore::tellStatus(const Registration& registration, const EntityStatus& status,
                               const Before& before) {
     const auto lists = access(Lane::Data);
+    const auto now = machine_time_.now();
     const bool urgent = !before.heard || (status.state == EntityState::BUSY && !before.busy);
     bool first = false;
     clients_.to(Lane::Data, {}, [&](Client& client, ClientOutbox& outbox) {
         if (!sees(client, *lists, registration)) return;
         if (urgent || client.me.id == status.holder.id || client.me.id == before.holder) {
             client.statuses.drop(status.entity);
-        } else if (const auto verdict = client.statuses.offer(status.entity, machine_time_.now());
+        } else if (const auto verdict = client.statuses.offer(status.entity, now);
                    verdict != HeldStatuses::Verdict::Now) {
             first = first || verdict == HeldStatuses::Verdict::First;
             return;
