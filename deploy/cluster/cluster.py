@@ -210,6 +210,7 @@ class Cluster:
             wanted = {**before, **{key: value for key, value in wishes.items() if value is not None}}
             if wishes.get("base_port") == 0 and before:
                 wanted["base_port"] = before["base_port"]
+            wanted["revokes"] = (self.folder / "certs" / configuration.REVOCATION_LIST).exists()
             plan = configuration.Plan(folder=self.folder, **wanted)
             if plan.base_port == 0:
                 plan = free_range(plan)
@@ -218,7 +219,11 @@ class Cluster:
                 self.progress.say(f"warning: passwords and commands travel in clear to and from {plan.listen}")
             fields = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "folder"}
             running = [name for name, its in (self.records() if before else {}).items() if processes.runs(its)]
-            if running and fields != before:
+            known_plan = configuration.Plan(folder=self.folder, **before)
+            if running and plan == dataclasses.replace(known_plan, revokes=True) != known_plan:
+                raise Misconfigured(f"certificates were revoked since {', '.join(running)} started, which read the list when they "
+                                    "start; fix: axon-cluster down, then axon-cluster up")
+            if running and plan != known_plan:
                 raise Misconfigured(f"a cluster of another kind runs in {self.folder} ({', '.join(running)}); "
                                     "fix: end it with axon-cluster down")
             self.require_programs(plan)

@@ -593,6 +593,27 @@ class Folder(unittest.TestCase):
         said = (self.root / "axon.said").read_text().splitlines()
         self.assertEqual(said, [f"certs issue --router 127.0.0.1 --folder {certs} --force"])
 
+    def test_a_revocation_list_is_named_in_all_settings_from_the_next_start_on(self):
+        files = ("icestorm.cfg", "entityserver-1.cfg", "frontendserver-1.cfg", "glacier2clients.cfg", "glacier2entities.cfg",
+                 "client.cfg", "entitygl2client.cfg")
+
+        def checked():
+            return {self.cluster.told(file, "IceSSL.CertificateRevocationListFiles") for file in files}
+        self.cluster.prepare({"base_port": 0, "tls": True})
+        self.assertEqual(checked(), {None})
+        its = self.folder / "certs/revoked.crl.pem"
+        its.parent.mkdir(exist_ok=True)
+        its.write_text("a list")
+        with mock.patch.object(self.cluster, "records", return_value={"es1": {}}), mock.patch.object(processes, "runs", return_value=True):
+            with self.assertRaisesRegex(cluster.Misconfigured, "revoked since es1 started.*fix: axon-cluster down"):
+                self.cluster.prepare({})
+        self.assertEqual(checked(), {None})
+        self.cluster.prepare({})
+        self.assertEqual(checked(), {"revoked.crl.pem"})
+        its.unlink()
+        self.cluster.prepare({})
+        self.assertEqual(checked(), {None})
+
     def test_a_port_that_is_taken_is_named_with_the_mend(self):
         self.cluster.prepare({"base_port": 0})
         with socket.socket() as other:

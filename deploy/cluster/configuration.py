@@ -37,6 +37,7 @@ class Plan:
     tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
     grid: bool | None = None  # IceGrid starts the programs, and there are several IceStorms
     audited: bool | None = None  # servers keep an audit trail
+    revokes: bool = False  # the folder certs has a list of revoked certificates, which all programs refuse
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
@@ -527,6 +528,7 @@ REVOCATION = ("IceSSL.RevocationCheck=1", f"IceSSL.CertificateRevocationListFile
 
 
 def tls(plan, certificate):
+    off = "" if plan.revokes else "#"
     return f"""\
 # TLS, with a certificate of the CA in {plan.folder}/certs (axon certs --help): both sides show one.
 Ice.Plugin.IceSSL=IceSSL:createIceSSL
@@ -535,7 +537,7 @@ IceSSL.CAs=ca.cert.pem
 IceSSL.CertFile={certificate}.cert.pem
 IceSSL.KeyFile={certificate}.key.pem
 # After axon certs revoke, with its list beside the certificate:
-{"".join(f"#{line}{chr(10)}" for line in REVOCATION)}IceSSL.VerifyPeer=2
+{"".join(f"{off}{line}{chr(10)}" for line in REVOCATION)}IceSSL.VerifyPeer=2
 # The certificate must be for the address that was called:
 IceSSL.CheckCertName=1
 IceSSL.Protocols=TLS1_3

@@ -66,7 +66,7 @@ from Axon import CommUtil  # noqa: E402
 from axon import messages_pb2  # noqa: E402
 from client import Client  # noqa: E402
 from deployed import Deployed, Misconfigured, RoutedClient, Unready, missing_programs  # noqa: E402
-from configuration import Place  # noqa: E402
+from configuration import REVOCATION, Place  # noqa: E402
 from ice_wire import Ended, Silent, Wire  # noqa: E402
 from kinds import SLOW_SECONDS, UNRECORDED, NotRefused, Slow, flood, table  # noqa: E402
 
@@ -282,8 +282,7 @@ class Siege:
             ports = {door: free_port() for door in ("", "Signal", "Router", "Topic", "TopicSignal")}
             config = self.write(f"{name}.cfg", *self.certified(kind), f"Server.Name={name}", f"Server.Users={self.users}", "Server.Console=0",
                                 f"Server.TopicManager=IceStorm/TopicManager:ssl -h localhost -p {free_port()}",
-                                f"Axon.Audit.Folder={lab.folder}/audit-{name}", "IceSSL.RevocationCheck=1",
-                                "IceSSL.CertificateRevocationListFiles=revoked.crl.pem",
+                                f"Axon.Audit.Folder={lab.folder}/audit-{name}", *REVOCATION,
                                 *[f"{doors}{door}.Endpoints=ssl -h 127.0.0.1 -p {port}" for door, port in ports.items()])
             one = lab.start(name, "axon-server", "--role", role, "--config", config)
             one.wait_for("ready ")
@@ -341,12 +340,12 @@ class Siege:
         for usual, ours in (("/usr/lib/axon/axonrouterguard", str(guard)), ("/var/lib/axon-router/audit", str(trail)), ("tcp -h 127.0.0.1 -p 10414", f"ssl -h 127.0.0.1 -p {port}"), ("-p 10415", f"-p {free_port()}"),
                             ("-p 10416", f"-p {door[1]}")):
             example = example.replace(usual, ours)
-        config = self.write("router.cfg", example, *self.certified("router"), "IceSSL.Protocols=TLS1_3", "Ice.PrintAdapterReady=1")
+        config = self.write("router.cfg", example, *self.certified("router"), *REVOCATION, "IceSSL.Protocols=TLS1_3", "Ice.PrintAdapterReady=1")
         process = self.lab.start("router", program, f"--Ice.Config={config}")
         process.wait_for("Glacier2.Client ready")
         station = Station(process, trail)
         self.stations.append(station)
-        return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", of_ice=True)]
+        return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", (station, ("127.0.0.1", port)), of_ice=True)]
 
     def find_console(self, at, signal_port):
         self.console = loopback(at.rstrip("/"))
@@ -465,8 +464,8 @@ class Siege:
                 ("registry-nodes", "icegridregistry", "nodes", "registry", ()),
                 ("node", "icegridnode", "registry", "registry", ()),
                 ("router-servers", "client-router", "callbacks", "front-end", ())), 19):
-            station = stations[program]
-            ports.append(Port(port, station, "ice", number, self.deployed.at(program, what), None, unit, recorded=bool(station.trail), only=only,
+            station, address = stations[program], self.deployed.at(program, what)
+            ports.append(Port(port, station, "ice", number, address, None, unit, (station, address), recorded=bool(station.trail), only=only,
                               of_ice=True, of_cluster=True))
         return ports
 

@@ -40,10 +40,10 @@ class Program:
 
 class Deployed:
     def __init__(self, folder, programs, certificates, users):
-        """`certificates`: the folder of hostile-certificates, whose CA it takes; `users`: a file."""
+        """`certificates`: the folder of hostile-certificates, whose CA and list of revoked certificates it takes; `users`: a file."""
         certs = folder / "certs"
         certs.mkdir(mode=0o700, parents=True)
-        for name in ("ca.cert.pem", "ca.key.pem"):
+        for name in ("ca.cert.pem", "ca.key.pem", "revoked.crl.pem"):
             shutil.copy2(certificates / name, certs / name)
         shutil.copy2(users, folder / "users.cfg")
         self.cluster = Cluster(folder, programs)
