@@ -210,8 +210,9 @@ class Cluster:
             wanted = {**before, **{key: value for key, value in wishes.items() if value is not None}}
             if wishes.get("base_port") == 0 and before:
                 wanted["base_port"] = before["base_port"]
-            wanted["revokes"] = (self.folder / "certs" / configuration.REVOCATION_LIST).exists()
+            revoked = self.revoked()
             plan = configuration.Plan(folder=self.folder, **wanted)
+            plan = dataclasses.replace(plan, revokes=bool(revoked and (plan.tls or plan.grid)))
             if plan.base_port == 0:
                 plan = free_range(plan)
             plan.check()
@@ -219,17 +220,16 @@ class Cluster:
                 self.progress.say(f"warning: passwords and commands travel in clear to and from {plan.listen}")
             fields = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "folder"}
             running = [name for name, its in (self.records() if before else {}).items() if processes.runs(its)]
-            known_plan = configuration.Plan(folder=self.folder, **before)
-            if running and plan == dataclasses.replace(known_plan, revokes=True) != known_plan:
-                raise Misconfigured(f"certificates were revoked since {', '.join(running)} started, which read the list when they "
-                                    "start; fix: axon-cluster down, then axon-cluster up")
-            if running and plan != known_plan:
+            if running and dataclasses.replace(plan, revokes=False) != configuration.Plan(folder=self.folder, **{**before, "revokes": False}):
                 raise Misconfigured(f"a cluster of another kind runs in {self.folder} ({', '.join(running)}); "
                                     "fix: end it with axon-cluster down")
+            if running and (plan.tls or plan.grid) and revoked != known.get("revoked"):
+                raise Misconfigured(f"the revocation list in {self.folder / 'certs'} has changed since programs were started that read "
+                                    f"it at their start only ({', '.join(running)}); fix: axon-cluster down, then axon-cluster up")
             self.require_programs(plan)
             for name in configuration.folders(plan, [program.name for program in configuration.programs(plan)]):
                 (self.folder / name).mkdir(mode=0o700, exist_ok=True)
-            self.write_files(plan, known.get("generated", {}), fields)
+            self.write_files(plan, known.get("generated", {}), fields, revoked)
         return plan
 
     def require_programs(self, plan):
@@ -247,7 +247,12 @@ class Cluster:
             raise Misconfigured(f"{guard} does not exist, the plug-in of routers, IceStorm and IceGrid that comes with axon-server; fix: install "
                                 "that package again, or build the target axon_router_guard")
 
-    def write_files(self, plan, generated, fields):
+    def revoked(self):
+        """The digest of the list of revoked certificates; None where there is none."""
+        file = self.folder / "certs" / configuration.REVOCATION_LIST
+        return digest(file.read_text(encoding="utf-8")) if file.exists() else None
+
+    def write_files(self, plan, generated, fields, revoked):
         passwords = {user: self.told(file, "Axon.Password") for user, file in USER_FILES.items()}
         users = self.folder / "users.cfg"
         listed = [line.split()[0] for line in (users.read_text(encoding="utf-8") if users.exists() else "").splitlines()
@@ -260,9 +265,13 @@ class Cluster:
         kept = {}
         for name, text in wanted.items():
             file = self.folder / name
-            if file.exists() and digest(file.read_text(encoding="utf-8")) != generated.get(name):
+            there = file.read_text(encoding="utf-8") if file.exists() else text
+            if there != text and digest(there) != generated.get(name):
                 kept[name] = generated.get(name, "")
                 self.progress.say(f"{name} is kept, because it was changed by hand")
+                if plan.revokes and "IceSSL.CertFile=" in there and not set(configuration.REVOCATION) <= set(there.splitlines()):
+                    self.progress.say(f"warning: {name} does not name the revocation list, so its program accepts revoked certificates; "
+                                      f"fix: add the lines {' and '.join(configuration.REVOCATION)}")
                 continue
             write_private(file, text)
             kept[name] = digest(text)
@@ -270,7 +279,7 @@ class Cluster:
             file = self.folder / name
             if file.exists() and digest(file.read_text(encoding="utf-8")) == generated[name]:
                 file.unlink()
-        self.remember("cluster.json", {"plan": fields, "generated": kept,
+        self.remember("cluster.json", {"plan": fields, "generated": kept, "revoked": revoked,
                                        "certificates": self.remembered("cluster.json").get("certificates", {})})
         if plan.tls or plan.grid:
             self.issue_certificates(plan)

@@ -524,6 +524,10 @@ class Folder(unittest.TestCase):
         (self.root / name).write_text(f"#!/bin/sh\n{text}\n")
         (self.root / name).chmod(0o700)
 
+    def prepare_while_it_runs(self, wishes=None):
+        with mock.patch.object(self.cluster, "records", return_value={"es1": {}}), mock.patch.object(processes, "runs", return_value=True):
+            self.cluster.prepare(wishes or {})
+
     def run_command(self, *words):
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
@@ -603,16 +607,44 @@ class Folder(unittest.TestCase):
         self.assertEqual(checked(), {None})
         its = self.folder / "certs/revoked.crl.pem"
         its.parent.mkdir(exist_ok=True)
-        its.write_text("a list")
-        with mock.patch.object(self.cluster, "records", return_value={"es1": {}}), mock.patch.object(processes, "runs", return_value=True):
-            with self.assertRaisesRegex(cluster.Misconfigured, "revoked since es1 started.*fix: axon-cluster down"):
-                self.cluster.prepare({})
-        self.assertEqual(checked(), {None})
-        self.cluster.prepare({})
-        self.assertEqual(checked(), {"revoked.crl.pem"})
+        self.prepare_while_it_runs()
+        for text in ("a list", "a newer list"):
+            its.write_text(text)
+            before = checked()
+            with self.assertRaisesRegex(cluster.Misconfigured, r"revocation list .*has changed .*\(es1\); fix: axon-cluster down"):
+                self.prepare_while_it_runs()
+            self.assertEqual(checked(), before)
+            self.cluster.prepare({})
+            self.assertEqual(checked(), {"revoked.crl.pem"})
+            self.prepare_while_it_runs()
+        with self.assertRaisesRegex(cluster.Misconfigured, "a cluster of another kind runs"):
+            self.prepare_while_it_runs({"front_ends": 2})
         its.unlink()
+        with self.assertRaisesRegex(cluster.Misconfigured, "revocation list"):
+            self.prepare_while_it_runs()
         self.cluster.prepare({})
         self.assertEqual(checked(), {None})
+
+    def test_a_file_that_was_changed_by_hand_and_names_no_revocation_list_is_told(self):
+        self.cluster.prepare({"base_port": 0, "tls": True})
+        (self.folder / "certs").mkdir(exist_ok=True)
+        (self.folder / "certs/revoked.crl.pem").write_text("a list")
+        edited, by_hand = self.folder / "icestorm.cfg", self.folder / "client.cfg"
+        edited.write_text(edited.read_text() + "IceStorm.Trace.Topic=1\n")
+        for line in configuration.REVOCATION:  # as axon certs revoke says
+            by_hand.write_text(by_hand.read_text().replace(f"#{line}", line))
+        self.cluster.prepare({})
+        said = self.cluster.progress.stream.getvalue()
+        self.assertIn("icestorm.cfg does not name the revocation list", said)
+        self.assertIn("fix: add the lines IceSSL.RevocationCheck=1 and", said)
+        self.assertNotIn("client.cfg", said, "it is as it would be written")
+
+    def test_without_tls_a_revocation_list_changes_nothing(self):
+        self.cluster.prepare({"base_port": 0})
+        (self.folder / "certs").mkdir(exist_ok=True)
+        (self.folder / "certs/revoked.crl.pem").write_text("a list")
+        self.prepare_while_it_runs()
+        self.assertFalse(self.cluster.plan().revokes)
 
     def test_a_port_that_is_taken_is_named_with_the_mend(self):
         self.cluster.prepare({"base_port": 0})

@@ -37,7 +37,7 @@ class Plan:
     tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
     grid: bool | None = None  # IceGrid starts the programs, and there are several IceStorms
     audited: bool | None = None  # servers keep an audit trail
-    revokes: bool = False  # the folder certs has a list of revoked certificates, which all programs refuse
+    revokes: bool = False  # not chosen, but found: all programs read the list of revoked certificates in the folder certs
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
@@ -536,7 +536,7 @@ IceSSL.DefaultDir={plan.folder}/certs
 IceSSL.CAs=ca.cert.pem
 IceSSL.CertFile={certificate}.cert.pem
 IceSSL.KeyFile={certificate}.key.pem
-# After axon certs revoke, with its list beside the certificate:
+# What axon certs revoke has revoked, by its list beside the certificate:
 {"".join(f"{off}{line}{chr(10)}" for line in REVOCATION)}IceSSL.VerifyPeer=2
 # The certificate must be for the address that was called:
 IceSSL.CheckCertName=1

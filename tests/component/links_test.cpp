@@ -294,8 +294,8 @@ TEST_F(Links, IceStormMayDieAndComeBackAndStopsNeedItNot) {
 }
 
 TEST_F(Links, AServerThatComesBackIsReachedAgain) {
-    // It is not silence by which its end is noticed, once the first heartbeat came straight; a receipt may
-    // come before that one.
+    // Once a heartbeat has come directly, only the refused connection ends it so early. A receipt may come
+    // before that heartbeat; then it is silence for three seconds.
     neighbours.idle = 10min;
     ASSERT_NO_FATAL_FAILURE(startAll());
     ASSERT_TRUE(reaches()) << kLog->all();

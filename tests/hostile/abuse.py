@@ -208,6 +208,8 @@ class Honest:
 def slower(name, quiet, attacked, what):
     """(the line that tells both 99th percentiles, what is wrong with that)"""
     before, under = p99(quiet), p99(attacked)
+    if not (quiet and attacked):
+        return f"{name}, status requests: none {what if quiet else 'in quiet'}", []
     line = f"{name}, status requests: p99 {before:.2f} ms of {len(quiet)} in quiet, {under:.2f} ms of {len(attacked)} {what}"
     if min(len(quiet), len(attacked)) < 1000:
         return f"{line}; too few to judge", []
@@ -241,9 +243,8 @@ class Siege:
         before = [one.times for one in self.honest]
         for one in self.honest:
             one.times = one.quiet if quiet else []
-        until = [(one, len(one.times) + count) for one in self.honest]
-        for one, most in until:
-            wait_until(lambda its=one, enough=most: len(its.times) >= enough or its.failed, f"{one.name} gets answers", 60 + count / 10)
+        enough = [len(one.times) + count for one in self.honest]
+        wait_until(lambda: all(len(one.times) >= its or one.failed for one, its in zip(self.honest, enough)), "honest clients get answers", 60 + count / 10)
         for one, times in zip(self.honest, before):
             one.times = times
 
@@ -465,8 +466,9 @@ class Siege:
                 ("node", "icegridnode", "registry", "registry", ()),
                 ("router-servers", "client-router", "callbacks", "front-end", ())), 19):
             station, address = stations[program], self.deployed.at(program, what)
-            ports.append(Port(port, station, "ice", number, address, None, unit, (station, address), recorded=bool(station.trail), only=only,
-                              of_ice=True, of_cluster=True))
+            if not station.trail:
+                raise Failed(f"the configuration of {program} names no audit trail")
+            ports.append(Port(port, station, "ice", number, address, None, unit, (station, address), only=only, of_ice=True, of_cluster=True))
         return ports
 
     @staticmethod
@@ -540,7 +542,7 @@ class Siege:
 
 
 def check_port(siege, port, index):
-    """({kind: (cases, failures)}, what failed)"""
+    """(its figures, what failed)"""
     rows = table(port)
     if arguments.kinds:
         rows = [row for row in rows if row[0] in arguments.kinds.split(",")]
@@ -625,7 +627,8 @@ def check_records(port, cases, slow_ones, flood_source, failures):
 
 
 def p99(times):
-    return sorted(times)[int(len(times) * 0.99)] * 1000 if times else float("nan")
+    """In milliseconds; None of none."""
+    return sorted(times)[int(len(times) * 0.99)] * 1000 if times else None
 
 
 def hold_half_open(siege):
@@ -682,7 +685,7 @@ def attack_ports(siege, figures, failures):
             # Who is behind the routers is compared while the cluster is attacked.
             honest.times = honest.attacked if honest is siege.honest[0] or port.of_cluster else []
         if not arguments.quick:
-            # For more than a second: the log has lines left again, after what ended the port before.
+            siege.rest(120)  # a second: the log has lines left again, and what ended the port before is over
             siege.rest(QUIET_ANSWERS, quiet=True)
         its, failed = check_port(siege, port, index)
         if its:
@@ -695,6 +698,8 @@ def attack_ports(siege, figures, failures):
             if not station.alive():
                 failures.append(f"after {port.name}: {station.process.name} has ended")
                 print("    " + failures[-1], flush=True)
+    for honest in siege.honest:
+        honest.times = []
 
 
 def main():

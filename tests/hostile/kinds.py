@@ -8,7 +8,6 @@ import re
 import socket
 import ssl
 import struct
-import time
 import uuid
 
 from Axon import CommUtil
@@ -57,10 +56,9 @@ def bad_certificate(which):
         address, station = port.tls, port.station
         if which == "revoked":
             station, address = port.revoking
-        wire = None
+        wire = Wire(address, source)
+        me = wire.me
         try:
-            wire = Wire(address, source)
-            me = wire.me
             wire.secure(siege.trusting(which, port.unit))
         except Ended:
             return Case(me, station)
@@ -481,7 +479,7 @@ def console_post(path, make):
 
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
-console_foreign_page = console_post(["/login", "/ticket", "/logout"][0], lambda siege, rng: ("user=ann&password=x", {
+console_foreign_page = console_post("/login", lambda siege, rng: ("user=ann&password=x", {
     **FORM, "Origin": rng.choice(("https://elsewhere.example", "null", "http://127.0.0.1:1"))}))
 console_wrong_password = console_post("/login", lambda siege, rng: (f"user={rng.choice(('ann', 'chief', 'nobody'))}&password=wrong{rng.randrange(99)}", FORM))
 console_no_form = console_post("/login", lambda siege, rng: (rng.choice(("{}", "user=ann", "%zz", "")), {"Content_Type": rng.choice(("application/json", "text/plain"))}))
@@ -636,8 +634,7 @@ class Slow:
     """Half-open connections, and those that say a byte at a time: the bounds end them all."""
 
     def __init__(self, siege, port, rng, count):
-        self.siege, self.port, self.count, self.began = siege, port, count, time.monotonic()
-        self.open, self.dripping, self.source, self.late = [], [], None, 0
+        self.count, self.open, self.dripping, self.source = count, [], [], None
         for number in range(count):
             wire, rest, self.source = slow(siege, port, rng)
             if number % 2:
