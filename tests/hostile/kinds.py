@@ -147,7 +147,7 @@ def replayed_tls(siege, port, rng, source):
 
 def slow(siege, port, rng):
     """(a connection that is not ready, and what it still has to say)"""
-    source = f"127.{10 + port.number}.251.1"
+    source = f"127.{10 + port.number}.251.{port.tries}"
     # Without TLS the port for routers, which is on loopback then, has no bound (docs/reference/tls.md).
     if port.tls and (port.plain is None or port.name == "router-door" or rng.random() < 0.7):
         wire, whole = Wire(port.tls, source, seconds=SLOW_SECONDS), siege.hello[port.name]
@@ -659,7 +659,7 @@ class Slow:
 
 def flood(siege, port):
     """Connections as fast as one thread makes them, which say nothing: a bound closes some, or does not take them."""
-    source, open_ones = f"127.{10 + port.number}.252.1", []
+    source, open_ones = f"127.{10 + port.number}.252.{port.tries}", []
     count = {"lane": 300, "link": 100, "http": 200}.get(port.speaks, 1300)
     try:
         for _ in range(count):
