@@ -105,7 +105,8 @@ class Station:
     def __init__(self, process, trail=None, name="*"):
         self.process, self.trail, self.name = process, trail, name
         self.read = {}  # of each file, how many bytes
-        self.refusals, self.of_peer = [], collections.defaultdict(list)
+        self.of_peer = collections.defaultdict(list)
+        self.together = collections.Counter()  # of each source, how many connections the bounds have closed, by records of many
 
     def look(self):
         for file in sorted(self.trail.glob(f"{self.name}.*.jsonl")) if self.trail else ():
@@ -116,9 +117,11 @@ class Station:
             self.read[file] = self.read.get(file, 0) + whole
             for line in content[:whole].splitlines():
                 record = json.loads(line)
-                if record["kind"] == "refusal":
-                    self.refusals.append(record)
-                    self.of_peer[record.get("peer", "")].append(record)
+                if record["kind"] != "refusal":
+                    continue
+                self.of_peer[record.get("peer", "")].append(record)
+                if many := re.search(r"(\d+) connections? from (\S+) ", record["what"]):
+                    self.together[many.group(2)] += int(many.group(1))
 
     def told_of(self, peer, seconds=10):
         """The refusals of this address and port."""
@@ -135,10 +138,9 @@ class Station:
     def counted(self, source, one_by_one=False):
         """How many connections from this address the bounds have closed, by the records."""
         self.look()
-        found = [re.search(rf"(\d+) connections? from {re.escape(source)} ", record["what"]) for record in self.refusals]
         if one_by_one:
             return sum(peer.startswith(f"{source}:") for peer in self.of_peer)
-        return sum(int(one.group(1)) for one in found if one)
+        return self.together[source]
 
     def alive(self):
         return self.process.runs() if hasattr(self.process, "runs") else self.process.child.poll() is None
