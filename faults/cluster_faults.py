@@ -48,6 +48,7 @@ import processes  # noqa: E402
 from configuration import read_property  # noqa: E402
 from laboratory import Failed, Laboratory, sockets_of, wait_until  # noqa: E402
 
+BUSY = 0.95  # share of the processors' time above which this machine is too small for the trials
 WATCHDOG_MS = 250  # of each hop while a task runs, unless --watchdog says another
 ON_TOP_MS = 100
 PATIENCE_S = 3.0
@@ -215,6 +216,12 @@ class Client:
         self.child.wait()
 
 
+def processors():
+    """(idle, all) ticks of all processors so far."""
+    ticks = [int(word) for word in pathlib.Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+    return ticks[3] + ticks[4], sum(ticks)
+
+
 class Report:
     def __init__(self, kind):
         self.kind = kind
@@ -222,6 +229,12 @@ class Report:
         self.stops_ms, self.never, self.late, self.late_beside_stall = [], 0, 0, 0
         self.kept, self.causes, self.usable_s, self.agree_s, self.violations = 0, {}, [], [], []
         self.spared, self.disturbed_beside_stall = 0, 0
+        self.before, self.busy = processors(), 0.0  # share of the processors' time that was used
+
+    def over(self):
+        """After the last trial."""
+        idle, total = (now - then for now, then in zip(processors(), self.before))
+        self.busy = 1 - idle / max(1, total)
 
     def violation(self, sentence):
         self.violations.append(f"trial {self.trials + 1}: {sentence}")
@@ -243,7 +256,7 @@ class Report:
                 "stop_samples_ms": [round(ms, 3) for ms in self.stops_ms], "late": self.late,
                 "late_beside_stall": self.late_beside_stall, "never": self.never, "kept_their_chain": self.kept,
                 "spared": self.spared, "disturbed_beside_stall": self.disturbed_beside_stall,
-                "causes": self.causes, "usable_s": finite(self.series(self.usable_s)),
+                "processors_busy": round(self.busy, 3), "causes": self.causes, "usable_s": finite(self.series(self.usable_s)),
                 "lists_agree_s": finite(self.series(self.agree_s)), "violations": self.violations}
 
     def text(self):
@@ -253,7 +266,10 @@ class Report:
         lines = [f"{self.kind}: {self.trials} trials", f"  stops: {line(told['stop_ms'])} ms; kept their chain: {self.kept}",
                  f"  had nothing to do with it: {self.spared}, of whom {self.disturbed_beside_stall} stopped just after the host stood still",
                  f"  usable again after: {line(told['usable_s'])} s; lists agree: {line(told['lists_agree_s'])} s",
-                 f"  causes: {', '.join(f'{cause} {n}' for cause, n in self.causes.items()) or 'none'}"]
+                 f"  causes: {', '.join(f'{cause} {n}' for cause, n in self.causes.items()) or 'none'}",
+                 f"  processors: {self.busy:.0%} busy"]
+        if self.violations and self.busy > BUSY:
+            lines.append("  They do not carry so many robots and clients; fix: fewer of these, or --watchdog 500, with half as many heartbeats")
         lines += [f"  broken: {sentence}" for sentence in self.violations]
         return "\n".join(lines + ([] if self.violations else ["  kept"]))
 
@@ -570,6 +586,7 @@ def run_kinds(options, environment, kinds, reports):
                 run.trial(KINDS[kind], reports[-1])
             if sys.stderr.isatty():
                 print("\r\033[K", end="", file=sys.stderr)
+            reports[-1].over()
             print(reports[-1].text(), flush=True)
     except (Failed, subprocess.SubprocessError) as error:
         print(f"cluster_faults: {error}", file=sys.stderr)
