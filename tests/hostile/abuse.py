@@ -568,7 +568,7 @@ def check_port(siege, port, index):
         first = number < len(rows)
         kind, function, _ = rows[number] if first else order[number % len(order)]
         if first and not arguments.quick:
-            due = began + number * FIRST_APART
+            due = time.monotonic() + FIRST_APART
             wait_until(lambda at=due: time.monotonic() >= at, "the log has lines left")
         if slow_count and not first and not slow_ones:  # their ends fill the log, too
             slow_ones = Slow(siege, port, random.Random(arguments.seed * 100 + index), slow_count)
