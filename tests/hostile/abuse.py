@@ -169,6 +169,8 @@ class Honest:
         self.name, self.client, self.entities, self.failed = name, client, entities, []
         self.quiet, self.attacked = [], []  # seconds
         self.times = []  # those of now, which count for neither
+        for entity in entities:  # the grant may come before the news
+            wait_until(lambda its=entity: client.statuses[its].holder.id == client.facts.me.id, f"{name} is told that it holds {entity}")
         self.states = {entity: client.statuses[entity].state for entity in entities}
         self.ended = threading.Event()
         self.thread = threading.Thread(target=self.run, daemon=True)
