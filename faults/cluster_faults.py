@@ -269,7 +269,7 @@ class Report:
                  f"  causes: {', '.join(f'{cause} {n}' for cause, n in self.causes.items()) or 'none'}",
                  f"  processors: {self.busy:.0%} busy"]
         if self.violations and self.busy > BUSY:
-            lines.append("  They do not carry so many robots and clients; fix: fewer of these, or --watchdog 500, with half as many heartbeats")
+            lines.append("  They do not carry so many robots and clients; fix: fewer of these, or a longer --watchdog, with fewer heartbeats")
         lines += [f"  broken: {sentence}" for sentence in self.violations]
         return "\n".join(lines + ([] if self.violations else ["  kept"]))
 

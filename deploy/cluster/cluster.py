@@ -220,7 +220,7 @@ class Cluster:
                 self.progress.say(f"warning: passwords and commands travel in clear to and from {plan.listen}")
             fields = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "folder"}
             running = [name for name, its in (self.records() if before else {}).items() if processes.runs(its)]
-            if running and dataclasses.replace(plan, revokes=False) != configuration.Plan(folder=self.folder, **{**before, "revokes": False}):
+            if running and plan != configuration.Plan(folder=self.folder, **before):
                 raise Misconfigured(f"a cluster of another kind runs in {self.folder} ({', '.join(running)}); "
                                     "fix: end it with axon-cluster down")
             if running and (plan.tls or plan.grid) and revoked != known.get("revoked"):

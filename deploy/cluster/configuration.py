@@ -37,7 +37,8 @@ class Plan:
     tls: bool | None = None  # all links; None = no, and nobody has said that it may be so beyond this machine
     grid: bool | None = None  # IceGrid starts the programs, and there are several IceStorms
     audited: bool | None = None  # servers keep an audit trail
-    revokes: bool = False  # not chosen, but found: all programs read the list of revoked certificates in the folder certs
+    # Not chosen, but found, so it makes no other kind of cluster: all programs read the list of revoked certificates in certs.
+    revokes: bool = dataclasses.field(default=False, compare=False)
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):

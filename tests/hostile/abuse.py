@@ -192,12 +192,9 @@ class Honest:
 
     def measure(self, count):
         """The times of as many answers from now on; about a hundredth of a second each."""
-        before, self.times = self.times, []
-        try:
-            wait_until(lambda: len(self.times) >= count or self.failed, f"{self.name} gets answers", 60 + count / 10)
-            return self.times
-        finally:
-            self.times = before
+        times = []
+        collect([self], [times], count)
+        return times
 
     def judge(self):
         """What it has lost, in sentences."""
@@ -211,6 +208,19 @@ class Honest:
         self.ended.set()
         self.thread.join(30)  # an answer that does not come ends it after 20 s
         self.client.destroy()
+
+
+def collect(clients, lists, count):
+    """Adds the times of each honest client's answers to its list instead of where they go, until each has as many more."""
+    before, enough = [one.times for one in clients], [len(its) + count for its in lists]
+    try:
+        for one, its in zip(clients, lists):
+            one.times = its
+        wait_until(lambda: all(len(its) >= least or one.failed for one, its, least in zip(clients, lists, enough)),
+                   f"answers to {', '.join(one.name for one in clients)}", 60 + count / 10)
+    finally:
+        for one, times in zip(clients, before):
+            one.times = times
 
 
 def slower(name, quiet, attacked, what):
@@ -248,13 +258,7 @@ class Siege:
     def rest(self, count, quiet=False):
         """Without another case until every honest client has as many more answers. `quiet`: they are those of quiet, else they count
         for nothing."""
-        before = [one.times for one in self.honest]
-        for one in self.honest:
-            one.times = one.quiet if quiet else []
-        enough = [len(one.times) + count for one in self.honest]
-        wait_until(lambda: all(len(one.times) >= its or one.failed for one, its in zip(self.honest, enough)), "honest clients get answers", 60 + count / 10)
-        for one, times in zip(self.honest, before):
-            one.times = times
+        collect(self.honest, [one.quiet if quiet else [] for one in self.honest], count)
 
     def write(self, name, *lines):
         file = self.lab.folder / name
