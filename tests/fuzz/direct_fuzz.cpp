@@ -266,7 +266,9 @@ void call(const std::shared_ptr<Ice::ObjectPrx>& whom, const std::string& operat
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
-    static Place place;
+    // Destroyed before anything static: until then, Ice's threads use statics of Ice that the first input
+    // made.
+    thread_local Place place;
     auto& events = *place.events;
     for (const auto& knocker : place.signal) knocker->renew();
     Manager manager;
