@@ -312,12 +312,16 @@ IceSSL.VerifyPeer=2
                                                                          self.ports["entities"])) == 0, "all have gone")
 
     def test_over_tls_everybody_is_who_his_certificate_says(self):
-        self.issue(["--entity", "Greeter"], ["--entity", "Other"], ["--client", "client2"])
+        self.issue(["--entity", "Greeter"], ["--entity", "Other"], ["--client", "client2"], ["--client", "thief"])
+        certs = self.lab.folder / "certs"
+        self.assertEqual(self.lab.axon("certs", "revoke", "--client", "thief", "--folder", str(certs))[0], 0)
         for name, server, way in (("clientrouter", "client-router", "clients"), ("entityrouter", "entity-router", "entities")):
             self.secure_router(name, server, f"ssl -h 127.0.0.1 -p {self.ports[way]}")
         clients = f"Ice.Default.Router=Axon.Clients/router:ssl -h 127.0.0.1 -p {self.ports['clients']}\n"
         entities = (f"Ice.Default.Router=Axon.Entities/router:ssl -h 127.0.0.1 -p {self.ports['entities']}\n"
                     f"Axon.Application=Greeter\nAxon.Ports={self.lab.ports}\n")
+        with open(self.lab.folder / "clientrouter.cfg", "a") as file:
+            file.write("IceSSL.RevocationCheck=1\nIceSSL.CertificateRevocationListFiles=revoked.crl.pem\n")
         self.over_tls("client.cfg", "client", "client2", clients)
         self.over_tls("entitygl2client.cfg", "entity", "Greeter", entities)
         self.start_all()
@@ -331,6 +335,10 @@ IceSSL.VerifyPeer=2
         status, lines, errors = self.lab.axon("--config", str(self.lab.folder / "wrong.cfg"), "ls")
         self.assertNotEqual(status, 0)
         self.assertIn("axon certs issue --client", str(lines) + errors)
+        self.over_tls("revoked.cfg", "client", "thief", clients)
+        status, lines, errors = self.lab.axon("--config", str(self.lab.folder / "revoked.cfg"), "ls")
+        self.assertNotEqual(status, 0)
+        self.assertIn("is the certificate shown of another CA, expired or revoked", str(lines) + errors)
         self.write("none.cfg", clients)
         status, lines, errors = self.lab.axon("--config", str(self.lab.folder / "none.cfg"), "ls")
         self.assertNotEqual(status, 0)

@@ -125,8 +125,9 @@ int revoke(Session& session, const Folder& folder) {
          {"next",
           "copy the list to each server, router, IceStorm, registry and node of IceGrid, beside its "
           "certificate, give its configuration these two lines, and restart it; a program reads the list "
-          "when it starts. If the key of one of these was stolen, clients and Entity Managers need the list "
-          "too (docs/reference/tls.md)"}});
+          "when it starts. For a cluster on one machine, in whose folder these certificates are, "
+          "axon-cluster down and up do this. If the key of one of these was stolen, clients and Entity "
+          "Managers need the list too (docs/reference/tls.md)"}});
     return kDone;
 }
 

@@ -292,8 +292,8 @@ std::optional<Refusal> tlsRefusal(const std::exception_ptr& error, bool setting_
     }
     return Refusal{RefusalCode::PermissionDenied,
                    "the server closed the connection while it was being set up: most likely it does not "
-                   "accept the certificate shown (IceSSL.CertFile: of another CA, or expired); fix: check it "
-                   "with axon certs show, and see the server's log",
+                   "accept the certificate shown (IceSSL.CertFile: of another CA, expired or revoked); fix: "
+                   "check it with axon certs show, and see the server's log",
                    {}};
 }
 

@@ -39,7 +39,7 @@ class Opening : public std::enable_shared_from_this<Opening> {
                 };
             const auto failed = [self = shared_from_this()](const std::exception_ptr& error) {
                 if (self->mayAskAgain(error)) return self->begin();
-                self->fail(ofSession(error));
+                self->fail(self->ofSession(error));
             };
             if (login_.user.empty() && isSecure(*router_)) {
                 router_->createSessionFromSecureConnectionAsync(opened, failed, nullptr, context);
@@ -62,15 +62,20 @@ class Opening : public std::enable_shared_from_this<Opening> {
     bool mayAskAgain(const std::exception_ptr& error) {
         return isWithoutServer(error) && !asked_again_.exchange(true);
     }
-    /// A router closes the connection of who calls something else than a router on it.
-    static std::exception_ptr ofSession(const std::exception_ptr& error) {
+    /// A router closes the connection of who calls something else than a router on it. Under TLS 1.3 it also
+    /// does so after the handshake, without a reason, to whoever shows a certificate that it refuses.
+    std::exception_ptr ofSession(const std::exception_ptr& error) const {
         try {
             std::rethrow_exception(error);
         } catch (const Ice::ConnectionLostException&) {
             return std::make_exception_ptr(Glacier2::CannotCreateSessionException(
-                "it closed the connection; is its name right (Ice.Default.Router here, Glacier2.InstanceName "
-                "there), or "
-                "is it going down?"));
+                std::string("it closed the connection; ") +
+                (isSecure(*router_)
+                     ? "is the certificate shown of another CA, expired or revoked (axon certs "
+                       "show; the router's log has the reason), "
+                     : "") +
+                "is its name right (Ice.Default.Router here, Glacier2.InstanceName there), or is it going "
+                "down?"));
         } catch (...) {
             return error;
         }
