@@ -6,24 +6,28 @@
     python3 faults/cluster_faults.py kill-front-end lose-front-end --trials 50 --entities 64 --clients 32
 
 In a trial every robot runs a task of its client, and a program of the cluster is killed (kill -9), frozen (SIGSTOP) or cut
-off. Each robot must stop within the watchdog + 100 ms, unless its connection to its client does not go through that
-program; a drill shows that. A robot that answers it, or whose connection certainly does not go through the program, must
-not stop at all. What happens then depends on the kind:
+off. Before that, clients and Entity Managers connect again until each program of that kind serves some of them. Each robot
+must stop within the watchdog + 100 ms, unless its connection to its client does not go through that program; a drill shows
+that. A robot that answers it, or whose connection certainly does not go through the program, must not stop at all. What
+happens then depends on the kind:
 
     kill-…       the program is started again, and nothing else
     lose-…       it stays away: another program of its kind takes over
     freeze-…     as lose-…, or, where nothing can be used without it and it has no replacement, it goes on after 6 s
     partition-…  as lose-…: the program has a machine of its own, whose cable is pulled
 
-Within 5 s the same clients must hold and use every robot. Then the lists of all front-end servers that run must agree, each of
-these clients must have been told what is in them, and no other client may be able to check out what they hold. At last a
-program that was away comes back, and the lists of all must agree again.
+Within 5 s of the failure (of the restart, where the program is the only one of its kind) the same clients must use every
+robot, under the leases that they had. Then the lists of all front-end servers that run must agree, each of these clients must
+have been told what is in them, and hold its robots and no others. Another client tries to check robots out from the failure
+on, and in the end each of them, and is given none. At last a program that was away comes back, and the lists of all must
+agree again.
 The kinds of IceGrid's registries, of replicas of IceStorm and of partitions run on machines that are network namespaces,
 which need root; the others on one cluster without TLS. Each client is a process with the Python package of the build.
 Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
 import collections
+import itertools
 import json
 import math
 import os
@@ -55,10 +59,12 @@ PATIENCE_S = 3.0
 USABLE_S = 5.0
 READY_S = 60
 AT_ONCE = 8  # robots or clients that begin at the same time
+LEAST = 4  # each of N programs of a kind serves at least one in LEAST * N of those who may choose one
 SEEN_S = 5  # until lists say that a robot works
 ANSWER_S = 20  # a client's answer, also while it looks for another router
 READ_S = 0.2  # until this program has read what a robot has written, on a busy host
 STALL_MS = 50
+TRIES_S = 0.1  # between two robots that another client tries to check out
 ENTITIES_MAX, CLIENTS_MAX = 64, 32
 PYTHON = "/usr/bin/python3"  # the build must have its package for this one, as it does unless AXON_PYTHON_PROGRAM names another
 FROZEN_S = 6.0  # longer than any time-out of a session
@@ -137,17 +143,26 @@ class Robot:
         basic = folder / "basic.xml"
         basic.write_text(basic.read_text().replace('name="Greeter"', f'name="{self.name}"'))
         low = 5500 + (os.getpid() * 40 + number * 4) % 2400
-        (folder / "ports.cfg").write_text(f"Axon.Ports = {low}-{low + 3}\n")
+        self.lab, self.ports, self.folder = lab, f"{low}-{low + 3}", folder
+        (folder / "ports.cfg").write_text(f"Axon.Ports = {self.ports}\n")
         self.stops = []  # (moment, cause)
         with open(lab.folder / f"{self.name}.log", "wb") as log:
             self.application = subprocess.Popen([lab.bin / "cluster-robot", folder, folder / "ports.cfg"], env=lab.env,
                                                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, text=True,
                                                 start_new_session=True)
         threading.Thread(target=self.listen, daemon=True).start()
-        lab.ports = f"{low}-{low + 3}"
         (folder / "manager.cfg").write_text(f"Axon.WatchdogBusyMs = {watchdog}\nAxon.LinkWatchdogBusyMs = {watchdog}\n"
                                            f"Axon.LinkWatchdogIdleMs = {max(500, watchdog)}\n")
-        self.manager = lab.start_manager("", "--state", folder / "state", "--config", folder / "manager.cfg")
+        self.manager = None
+        self.start_manager()
+
+    def start_manager(self):
+        """Also instead of one that runs."""
+        if self.manager:
+            self.manager.end()
+            self.lab.processes.remove(self.manager)
+        self.lab.ports = self.ports
+        self.manager = self.lab.start_manager("", "--state", self.folder / "state", "--config", self.folder / "manager.cfg")
 
     def listen(self):
         for line in self.application.stdout:
@@ -216,6 +231,30 @@ class Client:
         self.child.wait()
 
 
+class Stranger:
+    """Tries from now on to check out one robot after the other that others hold."""
+
+    def __init__(self, client, names, first):
+        self.client, self.names = client, names[first:] + names[:first]
+        self.given = []
+        self.over = threading.Event()
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self):
+        for name in itertools.cycle(self.names):
+            if self.over.wait(TRIES_S):
+                return
+            if not self.client.does("take", name):
+                self.given.append(name)
+
+    def end(self):
+        """Which robots it was given."""
+        self.over.set()
+        self.thread.join()
+        return self.given
+
+
 def processors():
     """(idle, all) ticks of all processors so far."""
     ticks = [int(word) for word in pathlib.Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
@@ -229,6 +268,8 @@ class Report:
         self.stops_ms, self.never, self.late, self.late_beside_stall = [], 0, 0, 0
         self.kept, self.causes, self.usable_s, self.agree_s, self.violations = 0, {}, [], [], []
         self.spared, self.disturbed_beside_stall = 0, 0
+        self.struck = []  # of each trial: how many robots were connected to their client through the program
+        self.leases_lost = 0
         self.before, self.busy = processors(), 0.0  # share of the processors' time that was used
 
     def over(self):
@@ -255,7 +296,8 @@ class Report:
         return {"kind": self.kind, "trials": self.trials, "stop_ms": finite(self.series(self.stops_ms, self.never)),
                 "stop_samples_ms": [round(ms, 3) for ms in self.stops_ms], "late": self.late,
                 "late_beside_stall": self.late_beside_stall, "never": self.never, "kept_their_chain": self.kept,
-                "spared": self.spared, "disturbed_beside_stall": self.disturbed_beside_stall,
+                "struck": self.struck, "spared": self.spared, "disturbed_beside_stall": self.disturbed_beside_stall,
+                "leases_lost": self.leases_lost,
                 "processors_busy": round(self.busy, 3), "causes": self.causes, "usable_s": finite(self.series(self.usable_s)),
                 "lists_agree_s": finite(self.series(self.agree_s)), "violations": self.violations}
 
@@ -263,9 +305,9 @@ class Report:
         def line(series):
             return "  ".join(f"{key} {value}" for key, value in series.items())
         told = self.as_dict()
-        lines = [f"{self.kind}: {self.trials} trials", f"  stops: {line(told['stop_ms'])} ms; kept their chain: {self.kept}",
+        lines = [f"{self.kind}: {self.trials} trials", f"  robots behind the program: {line(self.series(self.struck))} in a trial", f"  stops: {line(told['stop_ms'])} ms; kept their chain: {self.kept}",
                  f"  had nothing to do with it: {self.spared}, of whom {self.disturbed_beside_stall} stopped just after the host stood still",
-                 f"  usable again after: {line(told['usable_s'])} s; lists agree: {line(told['lists_agree_s'])} s",
+                 f"  usable again after: {line(told['usable_s'])} s; lists agree: {line(told['lists_agree_s'])} s; leases lost: {self.leases_lost}",
                  f"  causes: {', '.join(f'{cause} {n}' for cause, n in self.causes.items()) or 'none'}",
                  f"  processors: {self.busy:.0%} busy"]
         if self.violations and self.busy > BUSY:
@@ -368,6 +410,69 @@ class Run:
                 time.sleep(0.05)
         return listed
 
+    def serving(self, kind, holders):
+        """{program of the kind: the clients, or robots with their Entity Managers, that it serves}; an empty dict for kinds that serve
+        neither."""
+        served = {name: [] for name in self.candidates(kind)}
+        if kind.victim in (CLIENT_ROUTER, ENTITY_ROUTER):
+            for one in self.clients if kind.victim == CLIENT_ROUTER else self.robots:
+                for router in self.routers_of(kind, one):
+                    served[router].append(one)
+        elif kind.victim == FRONT_END:
+            at = {robot.client: holders[robot.name].split(":")[0] for robot in self.robots}
+            for client, server in at.items():
+                served[server].append(client)
+        elif kind.victim == ENTITY_SERVER:
+            at = self.entity_servers()
+            for robot in self.robots:
+                served[at[robot.name]].append(robot)
+        else:
+            return {}
+        return served
+
+    def routers_of(self, kind, one):
+        """To which routers of the kind a client, or a robot's Entity Manager, is connected."""
+        ports = {program["name"]: int(at.rpartition(":")[2]) for program in self.lab.server.status["programs"]
+                 for what, at in program["ports"].items() if what in ("clients", "entities")}
+        pid = (one if kind.victim == CLIENT_ROUTER else one.manager).child.pid
+        return [router for router in self.candidates(kind) if is_connected(pid, ports[router])]
+
+    def entity_servers(self):
+        """{name of a robot: the entity server that it joined last, as the servers' logs say}."""
+        joined = {}
+        for name, text in self.lab.server.logs().items():
+            for when, robot in re.findall(r"^(\S+ \S+) \S+ (\S+) joined \(", text, re.MULTILINE):
+                joined[robot] = max(joined.get(robot, ("", "")), (when, name))
+        return {robot: name for robot, (_, name) in joined.items()}
+
+    def spread(self, kind):
+        """As prepare(), and each program of the kind serves some of the clients or Entity Managers."""
+        holders = self.prepare()
+        limit = time.monotonic() + READY_S
+        while served := self.serving(kind, holders):
+            fewest, most = (pick(served, key=lambda name: len(served[name])) for pick in (min, max))
+            least = len({one for its in served.values() for one in its}) // (LEAST * len(served)) or 1
+            missing = least - len(served[fewest])
+            if missing <= 0 or len(served) < 2 or len(served[most]) < 2:
+                break
+            if time.monotonic() > limit:
+                raise Failed(f"{fewest} serves {len(served[fewest])} of them {READY_S} s after they began to connect again; expected {least}")
+            # Half of those who connect again come back to where they were.
+            self.connect_again(self.random.sample(served[most], min(len(served[most]) - 1, 2 * missing + 1)))
+            holders = self.prepare()
+        return holders
+
+    def connect_again(self, some):
+        """Clients, or robots whose Entity Managers are started again."""
+        for group in in_groups(some):
+            if isinstance(group[0], Robot):
+                for robot in group:
+                    robot.start_manager()
+            else:
+                for client, (_, refused, _) in zip(group, self.for_each(group, lambda client: client.asks("again"))):
+                    if refused:
+                        raise Failed(f"{client.name} does not come back: {refused}")
+
     def candidates(self, kind):
         """The programs of the kind."""
         return self.lab.server.names(NAMES.get(kind.victim, kind.victim))
@@ -375,26 +480,25 @@ class Run:
     def affected(self, kind, victim, holders):
         """(names of the robots whose connection to their client goes through that program, names of those whose does not); the
         others may be either."""
-        ports = {program["name"]: int(at.rpartition(":")[2]) for program in self.lab.server.status["programs"]
-                 for what, at in program["ports"].items() if what in ("clients", "entities")}
         if kind.victim in (CLIENT_ROUTER, ENTITY_ROUTER):
             # Whoever has left a router that was cut off may be connected to it for some seconds more.
-            to = {}
-            for robot in self.robots:
-                pid = (robot.client if kind.victim == CLIENT_ROUTER else robot.manager).child.pid
-                to[robot.name] = [router for router in self.candidates(kind) if is_connected(pid, ports[router])]
+            to = {robot.name: self.routers_of(kind, robot.client if kind.victim == CLIENT_ROUTER else robot) for robot in self.robots}
             return {name for name, routers in to.items() if routers == [victim]}, {name for name, routers in to.items() if victim not in routers}
         if kind.victim == FRONT_END:
             through = {name for name, holder in holders.items() if holder.split(":")[0] == victim}
             return through, set(self.names) - through
-        return set(), set() if kind.victim == ENTITY_SERVER else set(self.names)
+        if kind.victim == ENTITY_SERVER:
+            through = {name for name, server in self.entity_servers().items() if server == victim}
+            return through, set(self.names) - through
+        return set(), set(self.names)
 
     def trial(self, kind, report):
-        holders = self.prepare()
+        holders = self.spread(kind)
         candidates = self.candidates(kind)
         replaceable = len(candidates) > 1
         victim = self.random.choice(candidates)
         must, spared = self.affected(kind, victim, holders)
+        report.struck.append(len(must))
         server = self.lab.server
         record = server.record(victim)
         time.sleep(self.random.uniform(0.06, 0.16))  # every phase of the heartbeats
@@ -408,17 +512,20 @@ class Run:
         else:
             processes.strike(record, signal.SIGKILL, 5.0)
         not_needed = kind.victim in (REGISTRY, REPLICA)  # everything can be used without it
+        stranger = Stranger(self.other, self.names, self.random.randrange(len(self.names)))
         try:
             spared |= self.judge_stops(victim, begin, harmed, must, report)
             if kind.harm == "kill":
                 back = time.monotonic()
                 server.start_again(victim)
-                self.judge_recovery(victim, back, "came back", (), report)
+                self.judge_recovery(victim, begin if replaceable else back, "was killed" if replaceable else "came back", (), report)
             elif replaceable or not_needed or kind.harm != "freeze":
                 self.judge_recovery(victim, begin, {"lose": "was lost", "freeze": "froze", "partition": "was cut off"}[kind.harm], (victim,), report)
             else:
                 time.sleep(max(0.0, begin + FROZEN_S - time.monotonic()))
         finally:
+            for name in stranger.end():
+                report.violation(f"{name} was given to a second client after {victim} was harmed")
             back = time.monotonic()
             if kind.harm == "freeze":
                 processes.strike(record, signal.SIGCONT, 0)
@@ -495,8 +602,11 @@ class Run:
         def usable(robot):
             said[robot.name] = "nothing was tried"
             while time.monotonic() < limit + PATIENCE_S:
-                refused = robot.client.does("use", robot.name)
+                _, refused, lost = robot.client.asks("use", robot.name)
                 if not refused:
+                    if lost:
+                        report.leases_lost += 1
+                        report.violation(f"{robot.client.name} lost its lease of {robot.name} after {victim} {how}: {lost}")
                     return time.monotonic()
                 said[robot.name] = refused
                 time.sleep(0.25)
@@ -514,7 +624,12 @@ class Run:
         self.judge_holder(report)
 
     def judge_holder(self, report):
-        """Another client, which may have to look for another router first, is refused each robot because it is held."""
+        """Each client holds its robots and no others. Another client, which may have to look for another router first, is refused each of
+        them because it is held."""
+        for client, (_, refused, held) in zip(self.clients, self.for_each(self.clients, lambda client: client.asks("held"))):
+            expected = sorted(robot.name for robot in self.robots if robot.client is client)
+            if refused or sorted(held) != expected:
+                report.violation(f"{client.name} holds {refused or sorted(held)}, and not {expected}")
         limit = time.monotonic() + USABLE_S + PATIENCE_S
 
         def take(robot):
