@@ -360,6 +360,20 @@ def router_log_in_on(siege, wire, rng):
     return Case(wire.me, siege.server)
 
 
+def router_log_in_flood(siege, port, rng, source):
+    """Many over one connection, without waiting for the answers."""
+    wire, count = siege.wire(port, source).validated(), rng.randrange(8, 16)
+    for number in range(count):
+        wire.say(ice.request("router", "createSession", ice.text("ann") + ice.text(f"wrong {number}"), category="Axon.Clients", context=CONTRACT,
+                             number=number + 1))
+    for _ in range(count):
+        status, reply = wire.reply()
+        if status < 1:
+            raise NotRefused(f"a log-in was answered with {status}: {reply}")
+    wire.close()
+    return Case(wire.me, siege.server)
+
+
 # At the ports of direct paths.
 
 def claim_on(siege, port, rng, wire, **more):
@@ -608,7 +622,7 @@ def table(port):
         rows += [row for row in ICE if row[0] != "unknown call" or not (port.name.startswith("topic") or port.of_cluster)]
         rows += {"client-data": LOG_INS, "entity-data": LOG_INS, "client-signal": ATTACH, "entity-signal": ATTACH, "topic": [("call of servers", call_of_servers, 2)],
                  "topic-signal": [("call of servers", call_of_servers, 2)], "router-door": [("wrong password", unknown_verifier, 2)],
-                 "router": [("wrong password", router_log_in, 2)], "partner-client": [("another user", others_user, 4)],
+                 "router": [("wrong password", router_log_in, 2), ("flood of log-ins", router_log_in_flood, 1)], "partner-client": [("another user", others_user, 4)],
                  "partner-entity": [("another's robot", others_robot, 4)]}.get(port.name, [])
         if port.lane == "direct":
             rows += [("wrong opening", wrong_opening, 4)]
