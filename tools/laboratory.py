@@ -33,6 +33,28 @@ def robot_ports():
     return first, first + 99
 
 
+_untried = 20100 + os.getpid() * 11 % 9000  # the first port that free_ports() has not looked at
+
+
+def free_ports(count):
+    """The first of so many ports in a row that nobody has, and that no call before has returned. They are below those that the system
+    gives out for port 0, so they stay free."""
+    global _untried
+    while _untried + count <= 32000:
+        first = _untried
+        _untried += count
+        for port in range(first, first + count):
+            with socket.socket() as probe:
+                try:
+                    probe.bind(("127.0.0.1", port))
+                except OSError:
+                    _untried = port + 1
+                    break
+        else:
+            return first
+    raise Failed(f"expected {count} free ports in a row between 20100 and 32000")
+
+
 class Failed(Exception):
     """Something did not do what it should; the text says what was expected and what came."""
 

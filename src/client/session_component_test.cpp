@@ -710,7 +710,9 @@ TEST_F(ClientTest, ALostServerIsToldAndTheClientComesBack) {
     const auto settings = [&] {
         auto same = onLoopback();
         same.client_endpoint = server->clientAddress(Lane::Data);
+        same.client_signal_endpoint = server->clientAddress(Lane::Signal);
         same.entity_endpoint = server->entityAddress(Lane::Data);
+        same.entity_signal_endpoint = server->entityAddress(Lane::Signal);
         return same;
     }();
     auto robots = robot();
@@ -737,7 +739,9 @@ TEST_F(ClientTest, ALostServerIsToldAndTheClientComesBack) {
 TEST_F(ClientTest, KeepsItsSessionWithWatchdogsOfTheServerThatItHasReconnectedTo) {
     auto settings = onLoopback();
     settings.client_endpoint = server->clientAddress(Lane::Data);
+    settings.client_signal_endpoint = server->clientAddress(Lane::Signal);
     settings.entity_endpoint = server->entityAddress(Lane::Data);
+    settings.entity_signal_endpoint = server->entityAddress(Lane::Signal);
     const auto me = client();
     std::atomic<int> up{0}, down{0};
     me->onConnection([&](bool connected, const std::string&) { ++(connected ? up : down); });

@@ -528,8 +528,11 @@ TEST(ConsoleStart, WhereAPortOfItsSessionsIsTakenTheServerStartsAndClosesTheOthe
     ASSERT_EQ(::listen(taken.get(), 1), 0);
     ::getsockname(taken.get(), reinterpret_cast<sockaddr*>(&address), &size);
     const auto its = loopbackAddress() + ":" + std::to_string(ntohs(address.sin_port));
-    // Two more that are free, to see that they are free again.
+    // Two more that are free, to see that they are free again. The other ports of the servers are at another
+    // address, so that none of them is one of these.
     auto settings = onLoopback();
+    settings.client_endpoint = settings.client_signal_endpoint = settings.entity_endpoint =
+        settings.entity_signal_endpoint = "127.0.0.1:0";
     onAnyPorts(settings.console);
     const auto [pages, sessions] = [&] {
         const server::Server other(settings);

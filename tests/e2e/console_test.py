@@ -21,7 +21,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tests" / "e2e")]
 import fronts  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import Laboratory, addresses, keep_if_failed, programs  # noqa: E402
+from laboratory import Laboratory, addresses, free_ports, keep_if_failed, programs  # noqa: E402
 
 BIN = programs()
 PASSWORD = "secret of anna"
@@ -48,19 +48,6 @@ with Ice.initialize(start) as communicator:
 
 def has_ice():
     return subprocess.run([PYTHON, "-c", "import Ice"], capture_output=True, check=False).returncode == 0
-
-
-def free_ports(count):
-    """The first of so many ports in a row that nobody has."""
-    for first in range(20100 + os.getpid() * 11 % 9000, 32000, 11):
-        try:
-            for port in range(first, first + count):
-                with socket.socket() as probe:
-                    probe.bind(("127.0.0.1", port))
-            return first
-        except OSError:
-            continue
-    raise AssertionError("no free ports")
 
 
 class Browser:

@@ -11,7 +11,6 @@ import pathlib
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,24 +19,13 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, addresses, keep_if_failed, programs, stays, wait_until  # noqa: E402
+from laboratory import Laboratory, addresses, free_ports, keep_if_failed, programs, stays, wait_until  # noqa: E402
 
 BIN = programs()
 ROUTER = shutil.which("glacier2router")
 WATCHDOG_S = 0.25
 STOPPED_WITHIN_S = WATCHDOG_S + 0.1
 USABLE_WITHIN_S = 5
-
-
-def free_ports(count):
-    """Ports that nobody had a moment ago, for what must come back at its place."""
-    sockets = [socket.socket() for _ in range(count)]
-    for one in sockets:
-        one.bind(("127.0.0.1", 0))
-    ports = [one.getsockname()[1] for one in sockets]
-    for one in sockets:
-        one.close()
-    return ports
 
 
 def connections_to(port):
@@ -62,8 +50,9 @@ class RoutersTest(unittest.TestCase):
         low = 6000 + (os.getpid() * 7 + RoutersTest.serial * 13) % 1900
         self.lab = Laboratory(BIN, application="Greeter", ports=f"{low}-{low + 5}")
         self.addCleanup(self.tidy)
-        self.ports = dict(zip(("client", "client-signal", "entity", "entity-signal", "client-router", "entity-router",
-                               "clients", "clients-back", "entities", "entities-back"), free_ports(10)))
+        names = ("client", "client-signal", "entity", "entity-signal", "client-router", "entity-router", "clients", "clients-back",
+                 "entities", "entities-back", "clients-tls", "entities-tls")
+        self.ports = {name: port for port, name in enumerate(names, free_ports(len(names)))}
         self.write("users.cfg", "")
         (self.lab.folder / "users.cfg").unlink()
         for name, role in (("client1", "operator"), ("client2", "admin"), ("hello", "entity")):
@@ -269,7 +258,7 @@ IceSSL.VerifyPeer=2
 
     def test_of_two_endpoints_the_one_is_used_that_the_credentials_fit_and_tls_where_both_do(self):
         self.issue(["--entity", "Greeter"], ["--client", "client2"])
-        tls = dict(zip(("clients", "entities"), free_ports(2)))
+        tls = {way: self.ports[f"{way}-tls"] for way in ("clients", "entities")}
         endpoints = {}
         for name, server, way in (("clientrouter", "client-router", "clients"), ("entityrouter", "entity-router", "entities")):
             endpoints[way] = [f"tcp -h 127.0.0.1 -p {self.ports[way]}", f"ssl -h 127.0.0.1 -p {tls[way]}"]

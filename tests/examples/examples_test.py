@@ -15,6 +15,7 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "tests" / "tutorials")]
 import console  # noqa: E402
+import stalls  # noqa: E402
 from laboratory import Laboratory, keep_if_failed, programs, robot_ports, wait_until  # noqa: E402
 
 BIN = programs()
@@ -93,4 +94,4 @@ class ExamplesTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    unittest.main(verbosity=2)
+    stalls.main()

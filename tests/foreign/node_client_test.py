@@ -11,7 +11,6 @@ takes what npm installs and slice2js makes, and is used again by the next run.
 import json
 import pathlib
 import shutil
-import socket
 import subprocess
 import sys
 import unittest
@@ -21,7 +20,7 @@ sys.path.insert(0, str(HERE))
 sys.dont_write_bytecode = True
 from rig import BIN, ROOT, compile_contracts, make_laboratory  # noqa: E402
 import stalls  # noqa: E402
-from laboratory import keep_if_failed  # noqa: E402
+from laboratory import free_ports, keep_if_failed  # noqa: E402
 
 WORK = BIN.parent / "foreign_node"
 if "--work" in sys.argv:
@@ -45,13 +44,6 @@ def prepare(work):
     return work / "generated"
 
 
-def free_port():
-    """One that nobody had a moment ago."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
-
-
 class NodeClientTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
@@ -60,7 +52,7 @@ class NodeClientTest(unittest.TestCase):
     def setUp(self):
         self.lab = make_laboratory()
         self.addCleanup(self.tidy)
-        port = free_port()
+        port = free_ports(1)
         text = (ROOT / "deploy/config/clientrouter.cfg").read_text()
         for usual, mine in (("Client.Endpoints=tcp -h 127.0.0.1 -p 10414", f"Client.Endpoints=ws -h 127.0.0.1 -p {port}"), ("-p 10415", "-p 0"),
                             ("-p 10416", f"-p {self.lab.at['client-router'].rsplit(':', 1)[1]}")):

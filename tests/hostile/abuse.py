@@ -58,7 +58,7 @@ arguments = parser.parse_args()
 if arguments.half_open is None:
     arguments.half_open = 0 if arguments.quick or arguments.ports or arguments.kinds else 1000
 from rig import BIN, ROOT, USERS, compile_contracts  # noqa: E402
-from laboratory import Failed, Laboratory, addresses, wait_until  # noqa: E402
+from laboratory import Failed, Laboratory, addresses, free_ports, wait_until  # noqa: E402
 
 GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
 compile_contracts("slice2py", GENERATED.name)
@@ -82,12 +82,6 @@ QUIET_ANSWERS = 150  # of each honest client before each port
 def loopback(text):
     host, port = text.rsplit("/")[-1].rsplit(":", 1)
     return "127.0.0.1", int(port)
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 def left_out(missing, what):
@@ -279,13 +273,13 @@ class Siege:
         for user, role in {**USERS, "lab-a": "operator"}.items():
             subprocess.run([BIN / "axon-server", "--users", self.users, "--add-user", user, "--user-role", role],
                            input=f"word of {user}\n", text=True, check=True, capture_output=True)
-        console_signal = free_port()
+        console_signal = free_ports(1)
         both = "ssl -h 127.0.0.1 -p 0:tcp -h 127.0.0.1 -p 0"
         server = self.write("server.cfg", *self.certified("server"), f"Server.Users={self.users}", f"Axon.Audit.Folder={lab.folder}/audit",
                             *[f"{name}.Endpoints={both}" for name in ("FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")],
                             "FrontEndServerRouter.Endpoints=127.0.0.1:0", "EntityServerRouter.Endpoints=127.0.0.1:0",
                             *[f"{name}.Endpoints=ssl://127.0.0.1:{port}" for name, port in (
-                                ("Console", free_port()), ("ConsoleSession", free_port()), ("ConsoleSignal", console_signal))])
+                                ("Console", free_ports(1)), ("ConsoleSession", free_ports(1)), ("ConsoleSignal", console_signal))])
         process = lab.start("server", "axon-server", "--config", server)
         at = addresses(process.wait_for("ready "))
         self.server = Station(process, lab.folder / "audit")
@@ -293,9 +287,9 @@ class Siege:
         # One of several servers, whose links are under TLS and which knows of revoked certificates.
         several = {}
         for role, name, kind, doors in (("front-end", "fe1", "front-end", "FrontEndServer"), ("entity", "es1", "entity-server", "EntityServer")):
-            ports = {door: free_port() for door in ("", "Signal", "Router", "Topic", "TopicSignal")}
+            ports = {door: free_ports(1) for door in ("", "Signal", "Router", "Topic", "TopicSignal")}
             config = self.write(f"{name}.cfg", *self.certified(kind), f"Server.Name={name}", f"Server.Users={self.users}", "Server.Console=0",
-                                f"Server.TopicManager=IceStorm/TopicManager:ssl -h localhost -p {free_port()}",
+                                f"Server.TopicManager=IceStorm/TopicManager:ssl -h localhost -p {free_ports(1)}",
                                 f"Axon.Audit.Folder={lab.folder}/audit-{name}", *REVOCATION,
                                 *[f"{doors}{door}.Endpoints=ssl -h 127.0.0.1 -p {port}" for door, port in ports.items()])
             one = lab.start(name, "axon-server", "--role", role, "--config", config)
@@ -341,7 +335,7 @@ class Siege:
         program = shutil.which("glacier2router")
         if left_out([] if program else ["glacier2router"], "the port of a router"):
             return []
-        port = free_port()
+        port = free_ports(1)
         example = (ROOT / "deploy/config/clientrouter.cfg").read_text()
         for key in ("Glacier2.SSLSessionManager", "Glacier2.SSLPermissionsVerifier", "Ice.Plugin.IceSSL", "IceSSL.VerifyPeer", "Ice.Plugin.AxonRouterGuard",
                     "Ice.Trace.Network", "Axon.Audit.Folder", "Axon.Audit.Name"):
@@ -351,7 +345,7 @@ class Siege:
         trail, (guard, file) = self.lab.folder / "audit-router", Place("", BIN, "").guard()
         if not file.exists():
             raise Failed(f"no {file}, the router's plug-in; fix: build the target axon_router_guard")
-        for usual, ours in (("/usr/lib/axon/axonrouterguard", str(guard)), ("/var/lib/axon-router/audit", str(trail)), ("tcp -h 127.0.0.1 -p 10414", f"ssl -h 127.0.0.1 -p {port}"), ("-p 10415", f"-p {free_port()}"),
+        for usual, ours in (("/usr/lib/axon/axonrouterguard", str(guard)), ("/var/lib/axon-router/audit", str(trail)), ("tcp -h 127.0.0.1 -p 10414", f"ssl -h 127.0.0.1 -p {port}"), ("-p 10415", f"-p {free_ports(1)}"),
                             ("-p 10416", f"-p {door[1]}")):
             example = example.replace(usual, ours)
         config = self.write("router.cfg", example, *self.certified("router"), *REVOCATION, "IceSSL.Protocols=TLS1_3", "Ice.PrintAdapterReady=1")

@@ -9,7 +9,6 @@ FOLDER: as of console_test.py. Ends with 77 if there is no Chromium or no certut
 import os
 import pathlib
 import shutil
-import socket
 import subprocess
 import sys
 import unittest
@@ -19,7 +18,7 @@ sys.path[:0] = [str(ROOT / "tools"), str(ROOT / "web" / "tools"), str(ROOT / "te
 sys.dont_write_bytecode = True
 import fronts  # noqa: E402
 import workspace  # noqa: E402
-from laboratory import Laboratory, addresses, keep_if_failed, programs  # noqa: E402
+from laboratory import Laboratory, addresses, free_ports, keep_if_failed, programs  # noqa: E402
 
 SKIPPED = 77
 PASSWORD = "secret of anna"
@@ -27,19 +26,6 @@ BIN = programs()
 CHROMIUM = os.environ.get("AXON_CHROMIUM") or shutil.which("chromium")
 CERTUTIL = shutil.which("certutil")
 WORK = None
-
-
-def free_ports(count):
-    """The first of so many ports in a row that nobody has."""
-    for first in range(20107 + os.getpid() * 11 % 9000, 32000, 11):
-        try:
-            for port in range(first, first + count):
-                with socket.socket() as probe:
-                    probe.bind(("127.0.0.1", port))
-            return first
-        except OSError:
-            continue
-    raise AssertionError("no free ports")
 
 
 class HttpsTest(unittest.TestCase):
