@@ -32,7 +32,7 @@ void refuseUnknown(ClientOutbox& to, const Header& head) {
 
 std::string sessionsOf(const std::string& user, const FrontEndCoreSettings& settings) {
     return "the user '" + user + "' has " + std::to_string(settings.user_sessions) +
-           " sessions, which is the most";
+           (settings.user_sessions == 1 ? " session" : " sessions") + ", which is the most";
 }
 
 }  // namespace
@@ -126,6 +126,10 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
                                           settings_, clock_.now(), user, share, surplus,
                                           kStatusesHeld * (phases_++ % kPhases) / kPhases);
+        if (surplus && role != Role::Observer)
+            client->only_watches = sessionsOf(user, settings_) +
+                                   ", so this one may only watch and stop; fix: end some and open this one "
+                                   "again, or have FrontEndServer.UserSessions raised";
         if (share) {
             ++share->sessions;
             if (surplus) ++share->surplus;
@@ -136,11 +140,8 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
     wake_(Due::OnTimer);
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
     log_.joined(client->me, user);
-    if (client->surplus && role != Role::Observer)
-        client->data->newUpdateMsg(RefusalCode::Overloaded,
-                                   sessionsOf(user, settings_) +
-                                       ", so this one may only watch and stop; fix: end some and open this "
-                                       "one again, or have FrontEndServer.UserSessions raised");
+    if (!client->only_watches.empty())
+        client->data->newUpdateMsg(RefusalCode::Overloaded, client->only_watches);
     client->told = pushAll(*client);
     return client;
 }

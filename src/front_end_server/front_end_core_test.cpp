@@ -966,8 +966,11 @@ TEST_F(LimitedUsers, AUserHasSoManySessionsAndOneMoreCanStillStop) {
     limited->sendStopSignal(third.client, to("e1"), StopCause::Requested);
     limited->sendStopSignal(third.client, to(""), StopCause::Requested);
     EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by c to e1", "stop (requested) by c to "));
-    send(third, "e1", kMsgCheckOut);
+    send(third, "e1", kMsgWatch);
     EXPECT_EQ(topic.role, Role::Observer);
+    send(third, "e1", kMsgCheckOut);
+    EXPECT_THAT(third.data->take(), ElementsAre("stop accepted 0", "stop accepted 0", "refused OVERLOADED"))
+        << "and not that it is an observer's session";
     EXPECT_EQ(role(enter("bob")), Role::Operator);
     for (int i = 0; i < 5; ++i) EXPECT_EQ(role(enter("")), Role::Operator);
     limited->leave(first.client, Ending::Ended, "");

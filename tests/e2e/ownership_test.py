@@ -14,6 +14,7 @@ import pathlib
 import shutil
 import signal
 import sys
+import tempfile
 import time
 import unittest
 
@@ -42,8 +43,7 @@ class Person:
     def __init__(self, lab, name, with_file=False, door=None):
         self.lab = lab
         self.name = name
-        folder = lab.folder / (f"{name}-at-{door}" if door else name)
-        folder.mkdir(mode=0o700)
+        folder = pathlib.Path(tempfile.mkdtemp(prefix=f"{name}-", dir=lab.folder))
         self.env = dict(lab.at_door(door, name) if door else lab.env, XDG_RUNTIME_DIR=str(folder), AXON_USER=name)
         if with_file:
             file = folder / "password"

@@ -6,6 +6,7 @@ Behind routers there are two servers of each kind, and what is said of a user is
 
     python3 tests/e2e/users_change_test.py --bin build/dev/bin [unittest options]
 """
+import concurrent.futures
 import pathlib
 import re
 import shutil
@@ -21,9 +22,13 @@ from laboratory import Laboratory, keep_if_failed, robot_ports, stays, wait_unti
 from ownership_test import BIN, USERS, Person  # noqa: E402
 
 
-class UsersTest(unittest.TestCase):
+class Users(unittest.TestCase):
+    """A robot named left, and people who may log in at servers with `server_lines` in their configuration."""
+    server_lines = ""
+
     def setUp(self):
         self.lab = lab = Laboratory(BIN, application="Greeter", servers=2)
+        lab.server_lines = self.server_lines
         self.addCleanup(self.tidy)
         self.people = []
         file = lab.folder / "users.cfg"
@@ -118,6 +123,8 @@ class UsersTest(unittest.TestCase):
         """Of the files that this server has taken."""
         return re.findall("users: taken: .*fingerprint ([0-9a-f]{8})", log)
 
+
+class UsersTest(Users):
     def test_a_removed_user_is_out_and_the_robot_stops(self):
         self.does(self.client1, "checkout", "left")
         self.does(self.client1, "run", "left", "Wait", "Seconds=60", "--detach")
@@ -230,6 +237,68 @@ class UsersTest(unittest.TestCase):
         lists("")
         for its in client2:
             wait_until(lambda its=its: "left" in self.entities(its), "it is seen again")
+
+
+
+def servers_with(**settings):
+    """For a test: what its front-end servers have in their configuration."""
+    def mark(test):
+        test.server_lines = "".join(f"FrontEndServer.{key}={value}\n" for key, value in settings.items())
+        return test
+    return mark
+
+
+class LimitsTest(Users):
+    """What a user may do at one front-end server; stops pass."""
+
+    def setUp(self):
+        self.server_lines = getattr(self, self._testMethodName).server_lines
+        super().setUp()
+        self.door = self.lab.doors()[0]
+        self.one = self.person("client2", self.door)
+
+    def overloaded(self, person, *words):
+        """What is said of a limit, and how to fix it."""
+        status, lines, errors = person.axon(*words)
+        self.assertNotEqual(status, 0, str(lines))
+        error = next(line for line in lines if line["event"] == "error")
+        self.assertEqual(error["code"], "OVERLOADED", str(lines) + errors)
+        return error["message"] + error["fix"]
+
+    @servers_with(UserSessions=1)
+    def test_a_second_session_watches_and_stops(self):
+        self.does(self.one, "checkout", "left")
+        self.does(self.one, "run", "left", "Wait", "Seconds=60", "--detach")
+        second = self.person("client2", self.door)
+        for words in (("checkout", "left"), ("run", "left", "Wait", "Seconds=1")):
+            self.assertIn("FrontEndServer.UserSessions", self.overloaded(second, *words))
+        self.assertIn("left", self.entities(second))
+        self.does(second, "stop", "left")
+        wait_until(lambda: self.entities(self.guest)["left"]["latched"], "the robot has stopped")
+        self.does(self.one, "rearm", "left")
+
+    @servers_with(UserCheckOuts=0)
+    def test_check_outs_beyond_the_limit_are_refused(self):
+        self.assertIn("FrontEndServer.UserCheckOuts", self.overloaded(self.one, "checkout", "left"))
+        self.does(self.one, "stop", "left")
+
+    def refused_beyond(self, setting):
+        self.does(self.one, "--no-direct", "checkout", "left")
+        self.does(self.one, "run", "left", "Wait", "Seconds=60", "--detach")
+        with concurrent.futures.ThreadPoolExecutor(16) as at_once:
+            done = list(at_once.map(lambda number: self.one.axon("set", "left", "Wait", f"Seconds={number}"), range(64)))
+        refused = [str(lines) for status, lines, _ in done if status]
+        self.assertTrue(refused and all("OVERLOADED" in lines and setting in lines for lines in refused), refused)
+        self.does(self.one, "stop", "left")
+        wait_until(lambda: self.entities(self.guest)["left"]["latched"], "the robot has stopped")
+
+    @servers_with(UserMessages=10)
+    def test_beyond_the_messages_of_a_second_all_is_refused_but_stops(self):
+        self.refused_beyond("FrontEndServer.UserMessages")
+
+    @servers_with(UserBytes=1024)
+    def test_beyond_the_bytes_of_a_second_all_is_refused_but_stops(self):
+        self.refused_beyond("FrontEndServer.UserBytes")
 
 
 if __name__ == "__main__":

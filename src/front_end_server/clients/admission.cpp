@@ -29,6 +29,8 @@ Result<bool> admit(Client& client, const Header& head, std::size_t bytes, const 
                               "them out");
     }
     const bool check_out = head.msg_type == kMsgCheckOut;
+    if (check_out && !client.only_watches.empty())
+        return refuse(RefusalCode::Overloaded, client.only_watches);
     if (!check_out && head.msg_type != kMsgWatch) return false;
     const bool for_itself = check_out && client.me.role != Role::Observer;
     const bool first = for_itself && !client.entities.askedForCheckOut(head.entity);

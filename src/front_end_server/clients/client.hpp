@@ -56,6 +56,7 @@ class Client {
     const void* const connection;            // of data; others may come by it, too
     const std::shared_ptr<UserShare> share;  // with the other sessions of the user
     const bool surplus;                      // beyond the sessions that the user may have
+    std::string only_watches;  // why, where it is surplus and its user may do more; set before others see it
 
     RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
