@@ -108,12 +108,15 @@ class AuditTest(unittest.TestCase):
         self.does(client1, "run", "left", "Wait", "Seconds=0.1")
         self.does(boss, "stop", "left")
         self.does(boss, "rearm", "left")
-        self.does(client1, "release", "left")
+        self.does(boss, "checkout", "left", "--force", "it is needed")
+        self.assertNotEqual(client1.axon("checkout", "left")[0], 0, "what another holds is given")
+        self.does(boss, "rearm", "left")
+        self.does(boss, "release", "left")
 
         wait_until(lambda: any("is free" in line["what"] for line in self.of_servers("--kind", "ownership")),
                    "the release is recorded")
         everything = self.of_servers()
-        self.assertLessEqual({"started", "login", "session", "ownership", "command", "refusal", "stop", "rearm"},
+        self.assertLessEqual({"started", "login", "session", "ownership", "command", "refusal", "stop", "rearm", "take-over"},
                              {line["kind"] for line in everything})
         self.assertEqual({line["trail"] for line in everything}, set(self.trails().values()), "each server has its own")
         self.assert_trails_of_ice()
@@ -124,13 +127,16 @@ class AuditTest(unittest.TestCase):
         self.assertEqual(len(entities), 1)
         entity = entities.pop()
         own = self.records(self.own_trail, "--entity", entity)
-        self.assertLessEqual({"ownership", "command", "stop", "rearm"}, {line["kind"] for line in own})
+        self.assertLessEqual({"ownership", "command", "stop", "rearm", "take-over", "refusal"}, {line["kind"] for line in own})
+        taken, = (line for line in own if line["kind"] == "take-over")
+        self.assertIn("it is needed", taken["what"])
+        self.assertEqual([line["outcome"] for line in own if line["kind"] == "refusal"], ["ALREADY_HELD"], own)
         self.assertTrue(any(line["what"].startswith("dispatched Wait") for line in own), own)
         # By the id of the client alone: the trail of the server is elsewhere.
         his = self.records(self.own_trail, "--user", "client1")
         self.assertTrue(any(line["what"].startswith("dispatched Wait") for line in his), his)
         self.assertTrue(any(line["what"].startswith("granted") for line in his), his)
-        self.assertEqual({line["kind"] for line in self.records(self.own_trail, "--user", "boss")}, {"stop", "rearm"})
+        self.assertEqual({line["kind"] for line in self.records(self.own_trail, "--user", "boss")}, {"stop", "rearm", "take-over", "ownership"})
         everything = "".join(file.read_text() for folder in (*self.folders, self.own_trail) for file in
                              folder.glob("*.jsonl"))
         self.assertNotIn("-secret", everything, "a password is in the trail")

@@ -4,6 +4,7 @@
 #include <string_view>
 
 #include "audit/commands.hpp"
+#include "entity_server/sessions/holder_log.hpp"
 
 namespace axon::entity_server {
 
@@ -25,7 +26,7 @@ void EntityAudit::left(const std::string& entity, const std::string& name, const
 void EntityAudit::holder(const std::string& name, const EntityStatus& before, const EntityStatus& now) const {
     const auto &was = before.holder, &is = now.holder;
     if (was.id == is.id) return;
-    const bool taken = !was.id.empty() && !is.id.empty();
+    const bool taken = isTaken(before, now);
     const auto what = taken           ? name + " is taken from " + was.name + " (" + was.id + ")"
                       : is.id.empty() ? name + " is free, held by " + was.name + " (" + was.id + ") before"
                                       : name + " is checked out";

@@ -32,6 +32,10 @@ TEST_F(EntityAuditTest, ChangesOfTheHolderAreOwnershipOrATakeOver) {
     EXPECT_EQ(trail.last(), "take-over|bob|c2|e1|Cart is taken from ann (c1): forced|");
     audit.holder("Cart", heldBy("c2", "bob"), heldBy("", "", "its client is lost"));
     EXPECT_EQ(trail.last(), "ownership|||e1|Cart is free, held by bob (c2) before: its client is lost|");
+    auto between = heldBy("", "", "admin took it over: fire");
+    between.state = EntityState::IDLE;
+    audit.holder("Cart", heldBy("c2", "bob"), between);
+    EXPECT_EQ(trail.last(), "take-over|||e1|Cart is taken from bob (c2): admin took it over: fire|");
 }
 
 TEST_F(EntityAuditTest, EntitiesComeAndGoByName) {

@@ -5,6 +5,11 @@
 
 namespace axon::entity_server {
 
+bool isTaken(const EntityStatus& before, const EntityStatus& now) {
+    if (before.holder.id.empty() || before.holder.id == now.holder.id) return false;
+    return !now.holder.id.empty() || (now.state == EntityState::IDLE && !now.reason.empty());
+}
+
 std::string HolderLog::line(const std::string& name, const EntityStatus& before, const EntityStatus& now,
                             TimePoint at) {
     if (before.holder.id == now.holder.id) return {};
@@ -15,7 +20,7 @@ std::string HolderLog::line(const std::string& name, const EntityStatus& before,
     std::string line;
     if (!now.holder.id.empty()) {
         line = name + " is checked out by " + now.holder.name;
-    } else if (now.state == EntityState::IDLE && !now.reason.empty()) {
+    } else if (isTaken(before, now)) {
         line = "audit: " + name + " is taken from " + before.holder.name + ": " + now.reason;
     } else {
         line = name + " is free, released by " + before.holder.name;

@@ -10,6 +10,10 @@
 
 namespace axon::entity_server {
 
+/// Whether the holder has lost the entity to somebody else, by force or by consent. An Entity Manager first
+/// says who took it, as the reason of a status without a holder, and then who holds it.
+bool isTaken(const EntityStatus& before, const EntityStatus& now);
+
 /// What the log says of who holds one entity: a line for each change of its holder, in at most 20 lines a
 /// second. The next line tells how many changes were left out before it, and leftOut() how many no line has
 /// told of. Not thread-safe. Failure: none.
