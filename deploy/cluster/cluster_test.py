@@ -194,6 +194,12 @@ class OfIceGrid(unittest.TestCase):
             found[attributes["id"]] = (attributes, [filled(option.text) for option in server.iter("option")])
         return found
 
+    def test_servers_that_only_icegrid_watches_end_themselves_if_they_stand_still(self):
+        alone = configuration.files(dataclasses.replace(self.plan, grid=False), PASSWORDS, PLACE)
+        for file in ("frontendserver-1.cfg", "entityserver-1.cfg"):
+            self.assertIn("\nServer.WatchdogS=30\n", self.files[file])
+            self.assertNotIn("Server.WatchdogS", alone[file])
+
     def test_the_descriptor_starts_every_program_as_it_is_started_without_icegrid(self):
         servers = self.servers()
         programs = [program for program in configuration.programs(self.plan) if program.by_node]

@@ -33,7 +33,10 @@ int main(int argc, char** argv) {
         axon::transport::logToStderr(parsed.options->log_level);
         axon::transport::raiseDescriptorLimit();
         if (parsed.options->settings.lock_memory) axon::transport::lockMemory();
-        const auto watchdog = axon::transport::ServiceWatchdog::fromEnvironment();  // outlives the server
+        auto watchdog = axon::transport::ServiceWatchdog::fromEnvironment();  // outlives the server
+        if (const auto period = parsed.options->settings.stuck_for;
+            !watchdog && period > axon::Duration::zero())
+            watchdog = axon::transport::ServiceWatchdog::ofTheKernel(period);
         parsed.options->settings.watchdog = watchdog.get();
         const axon::server::Server server(std::move(parsed.options->settings));
         std::printf("%s\n", server.readyLine().c_str());

@@ -305,6 +305,10 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          }},
         {"Server.LockMemory",
          [&](const auto& where, const auto& text) { settings.lock_memory = number(where, text, 0, 1) != 0; }},
+        {"Server.WatchdogS",
+         [&](const auto& where, const auto& text) {
+             settings.stuck_for = std::chrono::seconds{number(where, text, 0, 3600)};
+         }},
         {"Server.SignalThreads",
          [&](const auto& where, const auto& text) {
              settings.signal_threads = static_cast<int>(number(where, text, 1, 256));

@@ -263,6 +263,18 @@ TEST(ServerOptions, LimitsOfAUserAreNumbersInTheirRange) {
     std::filesystem::remove_all(folder);
 }
 
+TEST(ServerOptions, TheThreadsMayStandStillForEverUnlessASettingSaysHowLong) {
+    EXPECT_EQ(parse({}).options->settings.stuck_for, Duration::zero());
+    std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    const auto file = folder + "/server.cfg";
+    std::ofstream(file) << "Server.WatchdogS=30\n";
+    EXPECT_EQ(parse({"--config", file}).options->settings.stuck_for, std::chrono::seconds{30});
+    std::ofstream(file) << "Server.WatchdogS=3601\n";
+    EXPECT_THAT(complaint({"--config", file}), HasSubstr("expected a number from 0 to 3600"));
+    std::filesystem::remove_all(folder);
+}
+
 TEST(ServerOptions, GlobalServicesLieBesideTheConfigurationUnlessAFolderIsNamed) {
     EXPECT_EQ(parse({}).options->settings.global_services, "globalservices");
     std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";

@@ -7,6 +7,7 @@
 import configparser
 import os
 import pathlib
+import re
 import signal
 import socket
 import sys
@@ -101,6 +102,24 @@ class ServiceTest(unittest.TestCase):
             server.child.send_signal(signal.SIGCONT)
         of_server.told.clear()
         of_server.wait_for_beats(server)
+
+    def test_a_server_that_nobody_watches_ends_itself_if_it_stands_still(self):
+        """It dies when it is continued: a signal waits where a process is stopped."""
+        config = self.lab.folder / "watched.cfg"
+        config.write_text("Server.WatchdogS=1\n")
+        server = self.lab.start("watched", "axon-server", "--base-port", "0", "--no-console", "--config", config)
+        server.wait_for("ready ")
+        status = pathlib.Path(f"/proc/{server.child.pid}/status")
+
+        def aborted():
+            waiting = re.search("^ShdPnd:\\s*([0-9a-f]+)$", status.read_text(), re.MULTILINE)
+            return int(waiting[1], 16) >> (signal.SIGABRT - 1) & 1
+        server.child.send_signal(signal.SIGSTOP)
+        try:
+            wait_until(aborted, "the kernel has sent SIGABRT")
+        finally:
+            server.child.send_signal(signal.SIGCONT)
+        self.assertEqual(server.child.wait(20), -signal.SIGABRT, server.text())
 
     def test_a_watchdog_of_the_parent_is_not_fed(self):
         server, of_server = self.server(WATCHDOG_PID=str(os.getpid()))

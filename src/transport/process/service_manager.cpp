@@ -10,13 +10,16 @@
 #include <cerrno>
 #include <charconv>
 #include <chrono>
+#include <csignal>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <ctime>
 #include <optional>
 #include <string>
 #include <string_view>
+#include <system_error>
 #include <utility>
 
 #include "common/descriptor.hpp"
@@ -58,6 +61,32 @@ class NotifySocket {
     socklen_t size_ = 0;
     Descriptor from_;
     int failure_ = 0;
+};
+
+/// Sends this process SIGABRT at its end, unless it is set again before.
+class AbortTimer {
+  public:
+    AbortTimer() {
+        sigevent at_end{};
+        at_end.sigev_notify = SIGEV_SIGNAL;
+        at_end.sigev_signo = SIGABRT;
+        if (::timer_create(CLOCK_MONOTONIC, &at_end, &id_) != 0)
+            throw std::system_error(errno, std::generic_category(), "no timer for the watchdog");
+    }
+    ~AbortTimer() { ::timer_delete(id_); }
+    AbortTimer(const AbortTimer&) = delete;
+    AbortTimer& operator=(const AbortTimer&) = delete;
+
+    void set(Duration to) {
+        const auto seconds = std::chrono::floor<std::chrono::seconds>(to);
+        itimerspec once{};
+        once.it_value.tv_sec = seconds.count();
+        once.it_value.tv_nsec = std::chrono::nanoseconds{to - seconds}.count();
+        ::timer_settime(id_, 0, &once, nullptr);
+    }
+
+  private:
+    timer_t id_{};
 };
 
 /// A whole positive number, or none.
@@ -119,6 +148,12 @@ std::unique_ptr<ServiceWatchdog> ServiceWatchdog::fromEnvironment(std::shared_pt
             failed = !told;
         },
         std::move(clock));
+}
+
+std::unique_ptr<ServiceWatchdog> ServiceWatchdog::ofTheKernel(Duration period,
+                                                              std::shared_ptr<const Clock> clock) {
+    return std::make_unique<ServiceWatchdog>(
+        period, [timer = std::make_shared<AbortTimer>(), period] { timer->set(period); }, std::move(clock));
 }
 
 ServiceWatchdog::Worker ServiceWatchdog::worker() {

@@ -45,6 +45,12 @@ class ServiceWatchdog {
     static std::unique_ptr<ServiceWatchdog> fromEnvironment(
         std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
 
+    /// For a service manager that starts a program again and watches it no further, as IceGrid's node does:
+    /// the kernel ends this process with SIGABRT where the period is over and nobody has been told. Counted
+    /// from the first time on. Throws std::system_error if there is no timer left.
+    static std::unique_ptr<ServiceWatchdog> ofTheKernel(
+        Duration period, std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
+
     /// One more thread without whose calls the service manager is not told.
     Worker worker();
 

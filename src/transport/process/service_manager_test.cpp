@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <csignal>
 #include <cstddef>
 #include <cstdlib>
 #include <filesystem>
@@ -143,6 +144,31 @@ TEST(ServiceWatchdog, IsNotFedByVariablesThatMakeNoSense) {
     EXPECT_NE(ServiceWatchdog::fromEnvironment(), nullptr);
     ::unsetenv("NOTIFY_SOCKET");
     EXPECT_EQ(ServiceWatchdog::fromEnvironment(), nullptr) << "nobody to tell";
+}
+
+TEST(ServiceWatchdogDeathTest, OfTheKernelEndsAProcessThatStandsStill) {
+    EXPECT_EXIT(
+        {
+            const auto watchdog = ServiceWatchdog::ofTheKernel(50ms);
+            watchdog->worker()();
+            ::pause();
+        },
+        testing::KilledBySignal(SIGABRT), "");
+}
+
+TEST(ServiceWatchdogDeathTest, OfTheKernelLeavesAProcessAloneThatGoesOnOrHasNotBegun) {
+    constexpr auto kPeriod = 600ms;
+    EXPECT_EXIT(
+        {
+            const SteadyClock clock;
+            const auto not_begun = ServiceWatchdog::ofTheKernel(1ms);
+            auto goes_on = ServiceWatchdog::ofTheKernel(kPeriod);
+            const auto turned = goes_on->worker();
+            for (const auto begin = clock.now(); clock.now() - begin < 2 * kPeriod;) turned();
+            goes_on.reset();  // and with it its timer
+            std::exit(0);
+        },
+        testing::ExitedWithCode(0), "");
 }
 
 TEST(ServiceWatchdog, WhoseServiceManagerDoesNotReadNeitherBlocksNorEnds) {
