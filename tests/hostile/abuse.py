@@ -142,14 +142,16 @@ class Station:
 
 class Port:
     def __init__(self, name, station, speaks, number, tls=None, plain=None, unit=None, revoking=None, gate=None, recorded=True, lane="data",
-                 only=None, of_ice=False, of_cluster=False, rounds=1):
+                 only=None, of_ice=False, of_cluster=False, rounds=1, like=None, behind=None):
         """`tls`, `plain`: addresses; `unit`: the kind of certificate that is right there; `revoking`: (station, address) of a port of
         the same kind that knows of revoked certificates; `gate`: the object that strangers call; `only`: other kinds of certificates
         that the handshake lets in, where it refuses the rest; `of_ice`: a program of Ice's; `of_cluster`: one of the cluster's;
-        `rounds`: how often as many cases, of a port whose cases take so little time that few honest answers come meanwhile."""
+        `rounds`: how often as many cases, of a port whose cases take so little time that few honest answers come meanwhile; `like`: the
+        name of another port to whose objects the same is said; `behind`: of a router, the station of the server that answers."""
         self.name, self.station, self.speaks, self.number = name, station, speaks, number
         self.tls, self.plain, self.unit, self.revoking, self.gate, self.recorded, self.lane = tls, plain, unit, revoking, gate, recorded, lane
         self.only, self.of_ice, self.of_cluster, self.rounds = only, of_ice, of_cluster, rounds
+        self.like, self.behind = like or name, behind
         self.tries = 0  # how often it has been abused
 
     def source(self, rng):
@@ -353,7 +355,7 @@ class Siege:
         process.wait_for("Glacier2.Client ready")
         station = Station(process, trail)
         self.stations.append(station)
-        return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", (station, ("127.0.0.1", port)), of_ice=True)]
+        return [Port("router", station, "ice", 8, ("127.0.0.1", port), None, "client", (station, ("127.0.0.1", port)), of_ice=True, behind=self.server)]
 
     def find_console(self, at, signal_port):
         self.console = loopback(at.rstrip("/"))
@@ -460,9 +462,11 @@ class Siege:
         near = self.honest[0].client
         self.shown = near.find("b/Far", 30, states=tuple(CommUtil.EntityState.valueOf(number) for number in range(20)))
         # By name: one of the laboratory's own servers may have the same.
-        stations = {name: Station(self.deployed.program(name), self.deployed.trail(name), name) for name in self.deployed.ports}
+        stations = {name: Station(self.deployed.program(name), self.deployed.trail(name), f"axon-server-{name}" if name in ("fe1", "es1") else name)
+                    for name in self.deployed.ports}
         self.stations += stations.values()
         ports = []
+        like = {"fe1-topic": "topic", "es1-topic-signal": "topic-signal", "client-router": "router", "entity-router": "router"}
         for number, (port, program, what, unit, only) in enumerate((
                 ("icestorm", "icestorm1", "topics", "front-end", ("entity-server", "storm")),
                 ("icestorm-publish", "icestorm2", "publish", "entity-server", ("front-end", "storm")),
@@ -471,11 +475,19 @@ class Siege:
                 ("registry-servers", "icegridregistry", "servers", "registry", ()),
                 ("registry-nodes", "icegridregistry", "nodes", "registry", ()),
                 ("node", "icegridnode", "registry", "registry", ()),
-                ("router-servers", "client-router", "callbacks", "front-end", ())), 19):
+                ("router-servers", "client-router", "callbacks", "front-end", ()),
+                # Those through which the honest client behind the routers goes; of their kinds there are ports above.
+                ("fe1-topic", "fe1", "topics", "storm", ("entity-server",)),
+                ("es1-topic-signal", "es1", "servers", "front-end", ("entity-server",)),
+                ("es1-router-door", "es1", "router", "router", ("server", "entity-server")),
+                ("client-router", "client-router", "clients", "client", None),
+                ("entity-router", "entity-router", "entities", "entity", None)), 19):
             station, address = stations[program], self.deployed.at(program, what)
             if not station.trail:
                 raise Failed(f"the configuration of {program} names no audit trail")
-            ports.append(Port(port, station, "ice", number, address, None, unit, (station, address), only=only, of_ice=True, of_cluster=True))
+            ports.append(Port(port, station, "ice", number, address, None, unit, (station, address), only=only, of_cluster=True,
+                              of_ice=program not in ("fe1", "es1"), like=like.get(port),
+                              behind=stations["fe1" if port == "client-router" else "es1"]))
         return ports
 
     @staticmethod

@@ -19,6 +19,9 @@ from cluster import Failed as Unready  # noqa: E402, F401  for abuse.py
 from configuration import Misconfigured, box_file, router_file, storm_file  # noqa: E402, F401
 
 
+SERVER_FILES = {"fe": "frontendserver-1", "es": "entityserver-1"}
+
+
 def missing_programs():
     """Those of Ice without which there is no such cluster here."""
     return [name for name in (*PACKAGES, *GRID_PACKAGES) if not shutil.which(name)]
@@ -69,7 +72,7 @@ class Deployed:
         """The folder of the audit trail of that program, if its configuration names one."""
         number = int(name[-1]) if name[-1].isdigit() else 1
         files = [box_file(self.plan, number), storm_file(self.plan, number)] if name.startswith("icestorm") else \
-            [router_file(name)] if "-router" in name else [f"{name}.cfg"]
+            [router_file(name)] if "-router" in name else [f"{SERVER_FILES.get(name[:2], name)}.cfg"]
         found = [self.cluster.told(file, "Axon.Audit.Folder") for file in files]
         return next((pathlib.Path(folder) for folder in found if folder), None)
 

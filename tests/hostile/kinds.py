@@ -111,8 +111,8 @@ def say_wrong(siege, port, rng, wire):
     if port.speaks == "lane":
         return claim_on(siege, port, rng, wire)
     wire.validated()
-    if port.name == "router":
-        return router_log_in_on(siege, wire, rng)
+    if port.like == "router":
+        return router_log_in_on(port, wire, rng)
     if port.lane == "signal":
         return attach_on(wire, port, token(rng))
     if port.lane == "direct":
@@ -326,7 +326,7 @@ def call_of_servers(siege, port, rng, source):
     wire = siege.wire(port, source)
     try:
         wire.validated()
-        wire.say(ice.request(port.name, "clientMsg", number=0) + ice.message(rng.randrange(7, 99)))
+        wire.say(ice.request(port.like, "clientMsg", number=0) + ice.message(rng.randrange(7, 99)))
     except Ended:
         pass
     ends(wire)
@@ -347,31 +347,36 @@ def unknown_verifier(siege, port, rng, source):
 def router_log_in(siege, port, rng, source):
     wire = siege.wire(port, source)
     try:
-        return router_log_in_on(siege, wire.validated(), rng)
+        return router_log_in_on(port, wire.validated(), rng)
     except Ended:
         wire.close()
     return Case(wire.me, port.station)
 
 
-def router_log_in_on(siege, wire, rng):
+def log_in_at_router(port, number):
+    """Operation and arguments of a log-in with a wrong password, and the category of the router."""
+    return {"operation": "createSession", "arguments": ice.text("ann") + ice.text(f"wrong {number}"),
+            "category": "Axon.Entities" if port.unit == "entity" else "Axon.Clients"}
+
+
+def router_log_in_on(port, wire, rng):
     """The server refuses it, and is told the address by the router, whatever the peer itself says of it."""
-    refused(wire, *wire.call("router", "createSession", ice.text("ann") + ice.text("wrong %d" % rng.randrange(1000)), category="Axon.Clients",
+    refused(wire, *wire.call("router", **log_in_at_router(port, rng.randrange(1000)),
                              context={**CONTRACT, "_con.remoteAddress": "192.0.2.1", "_con.remotePort": "1"}))
-    return Case(wire.me, siege.server)
+    return Case(wire.me, port.behind)
 
 
 def router_log_in_flood(siege, port, rng, source):
     """Many over one connection, without waiting for the answers."""
     wire, count = siege.wire(port, source).validated(), rng.randrange(8, 16)
     for number in range(count):
-        wire.say(ice.request("router", "createSession", ice.text("ann") + ice.text(f"wrong {number}"), category="Axon.Clients", context=CONTRACT,
-                             number=number + 1))
+        wire.say(ice.request("router", **log_in_at_router(port, number), context=CONTRACT, number=number + 1))
     for _ in range(count):
         status, reply = wire.reply()
         if status < 1:
             raise NotRefused(f"a log-in was answered with {status}: {reply}")
     wire.close()
-    return Case(wire.me, siege.server)
+    return Case(wire.me, port.behind)
 
 
 # At the ports of direct paths.
@@ -619,11 +624,11 @@ def table(port):
             rows += [row for row in CERTIFICATES if row[0] != "revoked" or port.revoking]
     if port.speaks == "ice":
         # A peer of a topic port, and of one of Ice's programs, has shown the certificate of a server.
-        rows += [row for row in ICE if row[0] != "unknown call" or not (port.name.startswith("topic") or port.of_cluster)]
+        rows += [row for row in ICE if row[0] != "unknown call" or port.like == "router" or not (port.like.startswith("topic") or port.of_cluster)]
         rows += {"client-data": LOG_INS, "entity-data": LOG_INS, "client-signal": ATTACH, "entity-signal": ATTACH, "topic": [("call of servers", call_of_servers, 2)],
                  "topic-signal": [("call of servers", call_of_servers, 2)], "router-door": [("wrong password", unknown_verifier, 2)],
                  "router": [("wrong password", router_log_in, 2), ("flood of log-ins", router_log_in_flood, 1)], "partner-client": [("another user", others_user, 4)],
-                 "partner-entity": [("another's robot", others_robot, 4)]}.get(port.name, [])
+                 "partner-entity": [("another's robot", others_robot, 4)]}.get(port.like, [])
         if port.lane == "direct":
             rows += [("wrong opening", wrong_opening, 4)]
     if port.speaks == "lane":
