@@ -109,6 +109,7 @@ class AuditTest(unittest.TestCase):
         self.does(boss, "stop", "left")
         self.does(boss, "rearm", "left")
         self.does(boss, "checkout", "left", "--force", "it is needed")
+        wait_until(lambda: client1.agent().get("lost"), "client1 has heard of it")
         self.assertNotEqual(client1.axon("checkout", "left")[0], 0, "what another holds is given")
         self.does(boss, "rearm", "left")
         self.does(boss, "release", "left")

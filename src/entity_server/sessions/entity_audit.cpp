@@ -27,9 +27,10 @@ void EntityAudit::holder(const std::string& name, const EntityStatus& before, co
     const auto &was = before.holder, &is = now.holder;
     if (was.id == is.id) return;
     const bool taken = isTaken(before, now);
-    const auto what = taken           ? name + " is taken from " + was.name + " (" + was.id + ")"
-                      : is.id.empty() ? name + " is free, held by " + was.name + " (" + was.id + ") before"
-                                      : name + " is checked out";
+    const auto what = name + (taken            ? " is taken from " + was.name + " (" + was.id + ")"
+                              : is.id.empty()  ? " is free, held by " + was.name + " (" + was.id + ") before"
+                              : was.id.empty() ? std::string(" is checked out")
+                                               : " is still held, by another session than " + was.id);
     trail_.note({.kind = taken ? Kind::TakeOver : Kind::Ownership,
                  .name = is.name,
                  .client = is.id,

@@ -28,7 +28,11 @@ TEST_F(EntityAuditTest, ChangesOfTheHolderAreOwnershipOrATakeOver) {
     EXPECT_EQ(trail.last(), "ownership|ann|c1|e1|Cart is checked out|");
     audit.holder("Cart", heldBy("c1", "ann"), heldBy("c1", "ann", "another status"));
     EXPECT_EQ(trail.notes().size(), 1U) << "nothing has changed";
-    audit.holder("Cart", heldBy("c1", "ann"), heldBy("c2", "bob", "forced"));
+    audit.holder("Cart", heldBy("c1", "ann"), heldBy("c9", "ann"));
+    EXPECT_EQ(trail.last(), "ownership|ann|c9|e1|Cart is still held, by another session than c1|");
+    auto other_lease = heldBy("c2", "bob", "forced");
+    other_lease.held.number = 2;
+    audit.holder("Cart", heldBy("c1", "ann"), other_lease);
     EXPECT_EQ(trail.last(), "take-over|bob|c2|e1|Cart is taken from ann (c1): forced|");
     audit.holder("Cart", heldBy("c2", "bob"), heldBy("", "", "its client is lost"));
     EXPECT_EQ(trail.last(), "ownership|||e1|Cart is free, held by bob (c2) before: its client is lost|");

@@ -7,7 +7,8 @@ namespace axon::entity_server {
 
 bool isTaken(const EntityStatus& before, const EntityStatus& now) {
     if (before.holder.id.empty() || before.holder.id == now.holder.id) return false;
-    return !now.holder.id.empty() || (now.state == EntityState::IDLE && !now.reason.empty());
+    if (!now.holder.id.empty()) return now.held != before.held;
+    return now.state == EntityState::IDLE && !now.reason.empty();
 }
 
 std::string HolderLog::line(const std::string& name, const EntityStatus& before, const EntityStatus& now,
@@ -18,10 +19,13 @@ std::string HolderLog::line(const std::string& name, const EntityStatus& before,
         return {};
     }
     std::string line;
-    if (!now.holder.id.empty()) {
+    if (isTaken(before, now)) {
+        line = "audit: " + name + " is taken from " + before.holder.name +
+               (now.holder.id.empty() ? ": " + now.reason : " by " + now.holder.name);
+    } else if (!before.holder.id.empty() && !now.holder.id.empty()) {
+        line = now.holder.name + " goes on with its lease of " + name;
+    } else if (!now.holder.id.empty()) {
         line = name + " is checked out by " + now.holder.name;
-    } else if (isTaken(before, now)) {
-        line = "audit: " + name + " is taken from " + before.holder.name + ": " + now.reason;
     } else {
         line = name + " is free, released by " + before.holder.name;
     }

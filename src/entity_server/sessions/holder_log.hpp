@@ -10,8 +10,9 @@
 
 namespace axon::entity_server {
 
-/// Whether the holder has lost the entity to somebody else, by force or by consent. An Entity Manager first
-/// says who took it, as the reason of a status without a holder, and then who holds it.
+/// Whether the holder has lost the entity to somebody else, by force or by consent; not where a client goes
+/// on with its lease in another session. An Entity Manager may first say who took it, as the reason of a
+/// status without a holder, and then who holds it.
 bool isTaken(const EntityStatus& before, const EntityStatus& now);
 
 /// What the log says of who holds one entity: a line for each change of its holder, in at most 20 lines a

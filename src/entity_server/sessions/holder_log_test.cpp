@@ -10,10 +10,12 @@ namespace {
 using namespace std::chrono_literals;
 using testing::HasSubstr;
 
+/// Each of them with a lease of their own.
 EntityStatus heldBy(const std::string& holder, const std::string& reason = {}) {
     EntityStatus out;
     out.state = holder.empty() ? EntityState::IDLE : EntityState::REG;
     out.holder = {holder, holder, Role::Operator};
+    out.held.number = holder == "bob" ? 2 : 1;
     out.reason = reason;
     return out;
 }
@@ -25,8 +27,11 @@ TEST(HolderLog, SaysWhoHasItWhoLetItGoAndFromWhomItWasTaken) {
         return log.line("Robot", before, now, clock.now());
     };
     EXPECT_EQ(line(heldBy(""), heldBy("ann")), "Robot is checked out by ann");
-    EXPECT_EQ(line(heldBy("ann"), heldBy("bob")), "Robot is checked out by bob");
+    EXPECT_EQ(line(heldBy("ann"), heldBy("bob")), "audit: Robot is taken from ann by bob");
     EXPECT_EQ(line(heldBy("bob"), heldBy("")), "Robot is free, released by bob");
+    auto again = heldBy("bob");
+    again.holder.id = "another session";
+    EXPECT_EQ(line(heldBy("bob"), again), "bob goes on with its lease of Robot");
     EXPECT_EQ(line(heldBy("bob"), heldBy("", "by force")), "audit: Robot is taken from bob: by force");
 }
 
@@ -47,7 +52,8 @@ TEST(HolderLog, WhatIsLeftOutIsToldByTheNextLine) {
     clock.advance(1s);
     EXPECT_THAT(log.line("Robot", heldBy("bob"), heldBy("ann"), clock.now()), HasSubstr("(80 changes"));
     EXPECT_EQ(log.leftOut(), 0U);
-    EXPECT_EQ(log.line("Robot", heldBy("ann"), heldBy("bob"), clock.now()), "Robot is checked out by bob");
+    EXPECT_EQ(log.line("Robot", heldBy("ann"), heldBy("bob"), clock.now()),
+              "audit: Robot is taken from ann by bob");
 }
 
 }  // namespace
