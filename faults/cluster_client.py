@@ -14,6 +14,7 @@
 
 Ends with its input. The first argument is its name, the second one a configuration file.
 """
+import contextlib
 import json
 import os
 import sys
@@ -65,7 +66,9 @@ class Holder:
             raise axon.Refused(axon.RefusalCode.TIMED_OUT, "no answer from the application")
 
     def take(self, name):
-        self.lab.checkout(name).release()
+        robot = self.lab.checkout(name)
+        with contextlib.suppress(axon.Refused):  # it was given, whatever becomes of giving it back
+            robot.release()
 
     def list(self, _):
         return {entity.id: [entity.name, entity.holder.id, entity.state.name] for entity in self.lab.entities(all=True)}

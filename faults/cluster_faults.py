@@ -27,6 +27,7 @@ Exit status: 0 every promise was kept, 1 one was broken, 2 it could not be run.
 """
 import argparse
 import collections
+import concurrent.futures
 import itertools
 import json
 import math
@@ -160,7 +161,6 @@ class Robot:
         """Also instead of one that runs."""
         if self.manager:
             self.manager.end()
-            self.lab.processes.remove(self.manager)
         self.lab.ports = self.ports
         self.manager = self.lab.start_manager("", "--state", self.folder / "state", "--config", self.folder / "manager.cfg")
 
@@ -236,22 +236,27 @@ class Stranger:
 
     def __init__(self, client, names, first):
         self.client, self.names = client, names[first:] + names[:first]
-        self.given = []
+        self.given, self.failure = [], None
         self.over = threading.Event()
         self.thread = threading.Thread(target=self.run, daemon=True)
         self.thread.start()
 
     def run(self):
-        for name in itertools.cycle(self.names):
-            if self.over.wait(TRIES_S):
-                return
-            if not self.client.does("take", name):
-                self.given.append(name)
+        try:
+            for name in itertools.cycle(self.names):
+                if self.over.wait(TRIES_S):
+                    return
+                if not self.client.does("take", name):
+                    self.given.append(name)
+        except Failed as error:
+            self.failure = error
 
     def end(self):
-        """Which robots it was given."""
+        """Which robots it was given. Raises Failed if its client has ended."""
         self.over.set()
         self.thread.join()
+        if self.failure:
+            raise self.failure
         return self.given
 
 
@@ -385,8 +390,9 @@ class Run:
                 raise result
         return results
 
-    def prepare(self):
-        """Every robot is held by its client and busy; who holds which, {name: "server:client"}."""
+    def prepare(self, renewed=(), ended=()):
+        """Every robot is held by its client and busy; who holds which, {name: "server:client"}. A list may still tell of the tasks of
+        the robots `renewed`, whose client or Entity Manager has connected again, and of the holders `ended`, whose sessions have ended."""
         limit = time.monotonic() + READY_S
 
         def busy(robot):
@@ -396,9 +402,9 @@ class Run:
                 time.sleep(0.05)
 
         def working():
-            return {entity["name"]: entity["holder_id"] for entity in self.lab.entities() if entity["state"] == "BUSY"}
+            return {entity["name"]: entity["holder_id"] for entity in self.lab.entities() if entity["state"] == "BUSY" and entity["holder_id"] not in ended}
 
-        listed = working()
+        listed = {name: holder for name, holder in working().items() if name not in renewed}
         while idle := [robot for robot in self.robots if robot.name not in listed]:
             if time.monotonic() > limit:
                 raise Failed(f"not busy within {READY_S} s: {', '.join(robot.name for robot in idle)}")
@@ -457,9 +463,11 @@ class Run:
                 break
             if time.monotonic() > limit:
                 raise Failed(f"{fewest} serves {len(served[fewest])} of them {READY_S} s after they began to connect again; expected {least}")
-            # Half of those who connect again come back to where they were.
-            self.connect_again(self.random.sample(served[most], min(len(served[most]) - 1, 2 * missing + 1)))
-            holders = self.prepare()
+            # Of two programs, half of those who connect again come back to where they were.
+            some = self.random.sample(served[most], min(len(served[most]) - 1, 2 * missing + 1))
+            self.connect_again(some)
+            renewed = [robot.name for robot in self.robots if robot in some or robot.client in some]
+            holders = self.prepare(renewed, {holders[robot.name] for robot in self.robots if robot.client in some})
         return holders
 
     def connect_again(self, some):
@@ -517,20 +525,26 @@ class Run:
             spared |= self.judge_stops(victim, begin, harmed, must, report)
             if kind.harm == "kill":
                 back = time.monotonic()
-                server.start_again(victim)
-                self.judge_recovery(victim, begin if replaceable else back, "was killed" if replaceable else "came back", (), report)
+                with concurrent.futures.ThreadPoolExecutor(1) as beside:
+                    restart = beside.submit(server.start_again, victim)
+                    if not replaceable:
+                        restart.result()
+                    self.judge_use(victim, begin if replaceable else back, "was killed" if replaceable else "came back", report)
+                    restart.result()
+                self.judge_lists(victim, begin if replaceable else back, "came back", (), report)
+                self.judge_holder(report)
             elif replaceable or not_needed or kind.harm != "freeze":
                 self.judge_recovery(victim, begin, {"lose": "was lost", "freeze": "froze", "partition": "was cut off"}[kind.harm], (victim,), report)
             else:
                 time.sleep(max(0.0, begin + FROZEN_S - time.monotonic()))
         finally:
-            for name in stranger.end():
-                report.violation(f"{name} was given to a second client after {victim} was harmed")
             back = time.monotonic()
             if kind.harm == "freeze":
                 processes.strike(record, signal.SIGCONT, 0)
             elif kind.harm == "partition":
                 server.machine(victim).plug_cable()
+            for name in stranger.end():
+                report.violation(f"{name} was given to a second client after {victim} was harmed")
         if kind.harm == "lose":
             server.start_again(victim)
         if kind.harm == "freeze" and not replaceable and not not_needed:
@@ -597,6 +611,12 @@ class Run:
 
     def judge_recovery(self, victim, since, how, without, report):
         """`since`: when the time begins in which everything must be usable; `without`: the programs that are not there."""
+        self.judge_use(victim, since, how, report)
+        self.judge_lists(victim, since, how, without, report)
+        self.judge_holder(report)
+
+    def judge_use(self, victim, since, how, report):
+        """Each client can use its robots, under the leases that it had."""
         limit, said = since + USABLE_S, {}  # what each robot was last refused with
 
         def usable(robot):
@@ -620,16 +640,16 @@ class Run:
         moments = [end for end in ends if end is not None]
         if len(moments) == len(ends):
             report.usable_s.append(max(moments) - since)
-        self.judge_lists(victim, since, how, without, report)
-        self.judge_holder(report)
 
     def judge_holder(self, report):
         """Each client holds its robots and no others. Another client, which may have to look for another router first, is refused each of
         them because it is held."""
         for client, (_, refused, held) in zip(self.clients, self.for_each(self.clients, lambda client: client.asks("held"))):
             expected = sorted(robot.name for robot in self.robots if robot.client is client)
-            if refused or sorted(held) != expected:
-                report.violation(f"{client.name} holds {refused or sorted(held)}, and not {expected}")
+            if refused:
+                report.violation(f"{client.name} does not say what it holds: {refused}")
+            elif sorted(held) != expected:
+                report.violation(f"{client.name} holds {sorted(held)}; expected {expected}")
         limit = time.monotonic() + USABLE_S + PATIENCE_S
 
         def take(robot):
