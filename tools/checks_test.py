@@ -102,8 +102,9 @@ class UnlessStalled(TreeCase):
     def test_beside_a_stall_it_is_run_again(self):
         self.assertEqual(self.run_beside(0.2), (0, 3))
 
-    def test_but_not_what_a_sanitizer_found(self):
+    def test_but_not_what_a_sanitizer_found_or_what_was_skipped(self):
         self.assertEqual(self.run_beside(0.2, code=66), (66, 1))
+        self.assertEqual(self.run_beside(0.2, code=77), (77, 1))
 
     def test_nor_after_a_death_which_it_dies_too(self):
         done = subprocess.run([unless_stalled.__file__, "sh", "-c", "kill -SEGV $$"], check=False)

@@ -37,7 +37,7 @@ _untried = 20100 + os.getpid() * 11 % 9000  # the first port that free_ports() h
 
 
 def free_ports(count):
-    """The first of so many ports in a row that nobody has, and that no call before has returned. They are below those that the system
+    """The first of that many ports in a row that nobody has, and that no call before has returned. They are below those that the system
     gives out for port 0, so they stay free."""
     global _untried
     while _untried + count <= 32000:
@@ -52,7 +52,7 @@ def free_ports(count):
                     break
         else:
             return first
-    raise Failed(f"expected {count} free ports in a row between 20100 and 32000")
+    raise Failed(f"expected {count} free ports in a row below 32000, and none was left that this process has not had")
 
 
 class Failed(Exception):

@@ -431,7 +431,7 @@ Server.Name={name}
 Server.TopicManager={topic_manager(plan)}
 # Who may log in:
 Server.Users={plan.folder}/users.cfg
-""" + ("# A server whose threads stand still for so many seconds ends itself, because IceGrid only starts again what has ended:\n"
+""" + ("# A server whose timer threads stand still for that many seconds ends itself, because IceGrid only starts again what has ended:\n"
        "Server.WatchdogS=30\n" if plan.grid else "") + (f"# Who did what is recorded here (docs/reference/audit.md):\nAxon.Audit.Folder={plan.folder}/audit\n" if plan.audited else "") + (f"# Folder of the global services (docs/reference/profiles.md); all front-end servers offer the same:\n"
        f"Server.GlobalServices={plan.folder}/globalservices\n" if front_end else "") + (
         f"# The other servers of its kind, to which requests for their sessions are passed on:\n{peers}" if peers else "") + (

@@ -706,15 +706,18 @@ TEST_F(ClientTest, AnEntityThatLeavesIsLostWithAReason) {
     EXPECT_EQ(task.wait(5s).state, TaskState::Unknown);
 }
 
+/// For a server that comes back in the place of this one.
+server::ServerSettings atItsPorts(const server::Server& server) {
+    auto same = onLoopback();
+    same.client_endpoint = server.clientAddress(Lane::Data);
+    same.client_signal_endpoint = server.clientAddress(Lane::Signal);
+    same.entity_endpoint = server.entityAddress(Lane::Data);
+    same.entity_signal_endpoint = server.entityAddress(Lane::Signal);
+    return same;
+}
+
 TEST_F(ClientTest, ALostServerIsToldAndTheClientComesBack) {
-    const auto settings = [&] {
-        auto same = onLoopback();
-        same.client_endpoint = server->clientAddress(Lane::Data);
-        same.client_signal_endpoint = server->clientAddress(Lane::Signal);
-        same.entity_endpoint = server->entityAddress(Lane::Data);
-        same.entity_signal_endpoint = server->entityAddress(Lane::Signal);
-        return same;
-    }();
+    const auto settings = atItsPorts(*server);
     auto robots = robot();
     auto with = options();
     with.resume = false;
@@ -737,11 +740,7 @@ TEST_F(ClientTest, ALostServerIsToldAndTheClientComesBack) {
 }
 
 TEST_F(ClientTest, KeepsItsSessionWithWatchdogsOfTheServerThatItHasReconnectedTo) {
-    auto settings = onLoopback();
-    settings.client_endpoint = server->clientAddress(Lane::Data);
-    settings.client_signal_endpoint = server->clientAddress(Lane::Signal);
-    settings.entity_endpoint = server->entityAddress(Lane::Data);
-    settings.entity_signal_endpoint = server->entityAddress(Lane::Signal);
+    auto settings = atItsPorts(*server);
     const auto me = client();
     std::atomic<int> up{0}, down{0};
     me->onConnection([&](bool connected, const std::string&) { ++(connected ? up : down); });

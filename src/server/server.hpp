@@ -67,8 +67,8 @@ struct ServerSettings {
     bool plain_tcp = false;                             ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted
-    /// Of the process of axon-server: how long its threads may stand still where no service manager watches
-    /// them; zero: for ever.
+    /// Of the process of axon-server: how long its timer threads may stand still where no service manager
+    /// watches them; zero: for ever.
     Duration stuck_for{};
     /// Is told that the timer threads of the servers go on. Outlives the server. Null: nobody watches this
     /// process.

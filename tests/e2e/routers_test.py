@@ -60,6 +60,7 @@ class RoutersTest(unittest.TestCase):
                             "--user-role", role], input=f"word of {name}\n", text=True, check=True, capture_output=True)
         at = {name: f"127.0.0.1:{port}" for name, port in self.ports.items()}
         self.write("server.cfg", f"""
+Server.Console=0
 FrontEndServer.Endpoints={at["client"]}
 FrontEndServerSignal.Endpoints={at["client-signal"]}
 FrontEndServerRouter.Endpoints={at["client-router"]}

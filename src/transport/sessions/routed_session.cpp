@@ -69,13 +69,11 @@ class Opening : public std::enable_shared_from_this<Opening> {
             std::rethrow_exception(error);
         } catch (const Ice::ConnectionLostException&) {
             return std::make_exception_ptr(Glacier2::CannotCreateSessionException(
-                std::string("it closed the connection; ") +
-                (isSecure(*router_)
-                     ? "is the certificate shown of another CA, expired or revoked (axon certs "
-                       "show; the router's log has the reason), "
-                     : "") +
-                "is its name right (Ice.Default.Router here, Glacier2.InstanceName there), or is it going "
-                "down?"));
+                std::string("it closed the connection; is the router's name right (Ice.Default.Router here, "
+                            "Glacier2.InstanceName there), is it going down") +
+                (isSecure(*router_) ? ", or is the certificate shown of another CA, expired or revoked (axon "
+                                      "certs show; the router's log has the reason)?"
+                                    : "?")));
         } catch (...) {
             return error;
         }
