@@ -414,8 +414,16 @@ void EntityServerCore::topicFound() {
 }
 
 // No lock that a message could hold: this is the signal lane, too.
-void EntityServerCore::frontEndServerUpdate(Lane lane, const ServerAnnouncement& server) {
-    if (!alone() && front_ends_.heard(lane, server, clock_.now())) wake_();
+void EntityServerCore::frontEndServerUpdate(Lane lane, const ServerAnnouncement& server,
+                                            const std::string& users) {
+    if (alone()) return;
+    const auto now = clock_.now();
+    if (front_ends_.heard(lane, server, now)) wake_();
+    if (users_ == nullptr || users.empty() || !isServerName(server.name)) return;
+    if (const auto line =
+            agreement_.heard("front-end server " + server.name, users, users_->fingerprint(), now);
+        !line.empty())
+        note_(line);
 }
 
 void EntityServerCore::serverRefused(const std::string& server, const std::string& signals) {

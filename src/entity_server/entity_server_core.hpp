@@ -25,6 +25,7 @@
 #include "entity_server/sessions/entity_audit.hpp"
 #include "entity_server/sessions/session.hpp"
 #include "users/present_users.hpp"
+#include "users/users_agreement.hpp"
 
 namespace axon::entity_server {
 
@@ -124,8 +125,9 @@ class EntityServerCore {
     void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause);
     void resetSignal(const Header& head);
     void clearSignal(const Header& head);
-    /// `lane`: Signal = directly, Data = by the topic.
-    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& server);
+    /// `lane`: Signal = directly, Data = by the topic. `users`: the fingerprint of its users; empty: not
+    /// told.
+    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& server, const std::string& users = {});
     /// A connection to `signals`, where this front-end or entity server takes signals, was refused.
     void serverRefused(const std::string& server, const std::string& signals);
     /// The topic has been found, or found again. Nobody has received messages published in between.
@@ -175,6 +177,7 @@ class EntityServerCore {
     const std::function<void()> pending_;
     const EntityAudit audit_;
     const users::PresentUsers* const users_;
+    users::UsersAgreement agreement_;  // of the front-end servers and this one
 
     OtherServers others_;
     OtherServers::Group& front_ends_;

@@ -153,6 +153,7 @@ class FakeUsers final : public users::PresentUsers {
     std::optional<Role> clientRole(const std::string&) const override { return std::nullopt; }
     bool mayBeEntityManager(const std::string& user) const override { return user != gone; }
     std::shared_ptr<const users::Access> access() const override { return nullptr; }
+    std::string fingerprint() const override { return "11111111"; }
 
     std::string gone;
 };
@@ -940,6 +941,28 @@ class OneOfSeveral : public EntityServerTest {
         }
     }
 };
+
+TEST_F(OneOfSeveral, SaysWhichFrontEndServerHasOtherUsers) {
+    const auto hear = [&](const std::string& server, const std::string& its_users) {
+        core.frontEndServerUpdate(Lane::Data, {server, "one", "signals of " + server, 0}, its_users);
+    };
+    notes.clear();
+    for (int i = 0; i < 2; ++i) {
+        hear("fe1", users.fingerprint());
+        hear("fe2", "22222222");
+        hear("fe3", "");
+        pass(users::UsersAgreement::kPatience);
+    }
+    EXPECT_THAT(notes, Contains(HasSubstr("users: front-end server fe2 has other users")));
+    EXPECT_THAT(
+        notes,
+        testing::Not(Contains(testing::AnyOf(HasSubstr("server fe1 has"), HasSubstr("server fe3 has")))));
+    hear("no name of a server", "22222222");
+    pass(users::UsersAgreement::kPatience);
+    notes.clear();
+    hear("no name of a server", "22222222");
+    EXPECT_THAT(notes, IsEmpty());
+}
 
 TEST_F(OneOfSeveral, AFrontEndServerThatFallsSilentHasLostItsClientsAndTheOtherHasNot) {
     const auto mine = join(kFirst);

@@ -9,6 +9,7 @@
 #include "common/queue_share.hpp"
 #include "transport/ice/bound_uuid.hpp"
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/users_context.hpp"
 #include "transport/outbox/forward.hpp"
 
 namespace axon::entity_server {
@@ -340,7 +341,7 @@ void FrontEndToEntityServant::clearSignal(IceHeader head, const Ice::Current& cu
 void FrontEndToEntityServant::frontEndServerUpdate(Axon::CommUtil::ServerAnnouncement server,
                                                    const Ice::Current& current) {
     if (links_ != nullptr && !links_->speaksAs(current, server.name, transport::kAnnounced)) return;
-    core_.frontEndServerUpdate(lane_, fromIce(std::move(server)));
+    core_.frontEndServerUpdate(lane_, fromIce(std::move(server)), transport::usersIn(current.ctx));
 }
 void FrontEndToEntityServant::entityServerUpdate(Axon::CommUtil::ServerAnnouncement server,
                                                  Axon::CommUtil::Entities entities,

@@ -52,8 +52,7 @@ FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, Ra
       users_(users),
       settlement_(clock, topic),
       log_(clock, note_, trail),
-      others_(settings.name, random, note_,
-              [this](Lane lane) { topic_.frontEndServerUpdate(lane, others_.self()); }),
+      others_(settings.name, random, note_, [this](Lane lane) { announce(lane); }),
       entity_servers_(others_.add({.name = "entity server",
                                    .timeouts = settings.entity_servers,
                                    .reach = [this](const auto& servers) { topic_.reach(servers); },
@@ -115,6 +114,11 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
                 sessionsOf(user, settings_) +
                     ", and the server keeps its last places for other users; fix: end some, or have "
                     "FrontEndServer.UserSessions raised");
+        std::string only_watches;
+        if (surplus && role != Role::Observer)
+            only_watches = sessionsOf(user, settings_) +
+                           ", so this one may only watch and stop; fix: end some and open this one again, or "
+                           "have FrontEndServer.UserSessions raised";
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
         const auto origin = alone() ? std::string() : settings_.name + ":" + others_.self().instance + ":";
@@ -123,13 +127,9 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         id[kUserDigits] = '8';
         if (!user.empty()) id.replace(0, kUserDigits, userPart(user));
         Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), surplus ? Role::Observer : role};
-        client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
-                                          settings_, clock_.now(), user, share, surplus,
-                                          kStatusesHeld * (phases_++ % kPhases) / kPhases);
-        if (surplus && role != Role::Observer)
-            client->only_watches = sessionsOf(user, settings_) +
-                                   ", so this one may only watch and stop; fix: end some and open this one "
-                                   "again, or have FrontEndServer.UserSessions raised";
+        client = std::make_shared<Client>(
+            std::move(me), Id128::random(random_).toString(), std::move(data), settings_, clock_.now(), user,
+            share, surplus, kStatusesHeld * (phases_++ % kPhases) / kPhases, std::move(only_watches));
         if (share) {
             ++share->sessions;
             if (surplus) ++share->surplus;
@@ -780,8 +780,14 @@ void FrontEndCore::entityServerRefused(const std::string& server, const std::str
     if (entity_servers_.refused(server, signals)) wake_(Due::OnTimer);
 }
 
+/// By the topic also what users there are here, which the entity servers compare.
+void FrontEndCore::announce(Lane lane) {
+    topic_.frontEndServerUpdate(lane, others_.self(),
+                                lane == Lane::Data && users_ != nullptr ? users_->fingerprint() : "");
+}
+
 void FrontEndCore::topicFound() {
-    topic_.frontEndServerUpdate(Lane::Data, others_.self());
+    announce(Lane::Data);
     {
         const std::lock_guard lock(mutex_);
         entities_.missed().askedAll(clock_.now());

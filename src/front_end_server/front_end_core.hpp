@@ -214,6 +214,7 @@ class FrontEndCore {
     std::optional<std::string> lessThan(const std::string& user, Role role) const;
     void letGo(const std::string& holder, const std::string& entity);
     void forget(const std::string& server, const std::unordered_set<std::string>& but);
+    void announce(Lane lane);
 
     const FrontEndCoreSettings settings_;
     const Clock& clock_;

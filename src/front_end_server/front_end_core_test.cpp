@@ -96,9 +96,10 @@ class FakeTopic final : public EntityTopic {
         lines.push_back("data to " + head.entity);
     }
     void clientRequest(const Header& head) override { lines.push_back("request" + head.entity); }
-    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) override {
+    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& self, const std::string& users) override {
         ++(lane == Lane::Signal ? beats : announcements);
         announced = self;
+        announced_users = users;
     }
     void reach(const std::vector<ServerAnnouncement>& servers) override {
         reached.clear();
@@ -130,6 +131,7 @@ class FakeTopic final : public EntityTopic {
     int beats = 0;
     int announcements = 0;
     ServerAnnouncement announced;
+    std::string announced_users;
     std::vector<std::string> reached;
 };
 
@@ -141,6 +143,7 @@ class FakeUsers final : public users::PresentUsers {
     }
     bool mayBeEntityManager(const std::string&) const override { return false; }
     std::shared_ptr<const users::Access> access() const override { return lists; }
+    std::string fingerprint() const override { return "11111111"; }
     /// Lines of a file of users, without their '@'.
     void list(const std::vector<std::vector<std::string_view>>& lines) {
         auto next = std::make_shared<users::Access>();
@@ -1732,6 +1735,15 @@ TEST_F(OneOfSeveral, ItsClientsIdsTellTheServerAndItsStart) {
     EXPECT_EQ(originOf(id).server, "fe1");
     EXPECT_EQ(originOf(id).instance, topic.announced.instance);
     EXPECT_TRUE(Id128::parse(uuidOf(id)));
+}
+
+TEST_F(OneOfSeveral, TellsByTheTopicWhatUsersItHas) {
+    FrontEndCore with_users{named(),     clock,   random,  topic, [](const std::string&) {},
+                            [](auto) {}, nullptr, nullptr, &users};
+    with_users.topicFound();
+    EXPECT_EQ(topic.announced_users, users.fingerprint());
+    several.topicFound();
+    EXPECT_EQ(topic.announced_users, "");
 }
 
 TEST_F(OneOfSeveral, AnnouncesItselfByTheTopicEachSecondAndDirectlyEach50Ms) {

@@ -7,6 +7,7 @@
 
 #include "common/queue_share.hpp"
 #include "transport/ice/communicator.hpp"
+#include "transport/ice/users_context.hpp"
 #include "transport/outbox/forward.hpp"
 
 namespace axon::front_end_server {
@@ -145,9 +146,15 @@ void IceEntityTopic::clearSignal(const Header& head) {
     publisher_.signalToAll(Traffic::Signal, head, std::string_view(),
                            forward<EntityPrx>(&EntityPrx::clearSignalAsync));
 }
-void IceEntityTopic::frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) {
+void IceEntityTopic::frontEndServerUpdate(Lane lane, const ServerAnnouncement& self,
+                                          const std::string& users) {
     publisher_.announce(
-        lane, 0, forward<EntityPrx>(&EntityPrx::frontEndServerUpdateAsync, publisher_.announcement(self)));
+        lane, 0,
+        [announced = publisher_.announcement(self), context = transport::usersContext(users)](
+            EntityPrx& prx, transport::Answered answered, transport::Failed failed, transport::Sent sent) {
+            prx.frontEndServerUpdateAsync(announced, std::move(answered), std::move(failed), std::move(sent),
+                                          context);
+        });
 }
 void IceEntityTopic::reach(const std::vector<ServerAnnouncement>& entity_servers) {
     publisher_.reach(entity_servers);

@@ -70,7 +70,7 @@ class IceEntityTopic final : public EntityTopic {
     void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause) override;
     void resetSignal(const Header& head) override;
     void clearSignal(const Header& head) override;
-    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) override;
+    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& self, const std::string& users) override;
     void reach(const std::vector<ServerAnnouncement>& entity_servers) override;
 
   private:

@@ -46,6 +46,7 @@ LoginDesk::LoginDesk(std::shared_ptr<const users::Users> users, const Clock& clo
     if (sodium_init() < 0)
         throw std::runtime_error("libsodium cannot be used: the kernel gives no random bytes");
     randombytes_buf(key_.data(), key_.size());
+    if (users_) fingerprint_ = users_->fingerprint();
     thread_ = std::thread([this] {
         pthread_setname_np(pthread_self(), "axon-login");
         run();
@@ -367,7 +368,9 @@ std::shared_ptr<const users::Users> LoginDesk::usersNow() const {
 }
 
 void LoginDesk::setUsers(std::shared_ptr<const users::Users> users) {
+    auto fingerprint = users->fingerprint();
     const std::lock_guard lock(mutex_);
+    fingerprint_.swap(fingerprint);
     std::erase_if(known_, [&](const auto& known) { return !users->keeps(known.first, *users_); });
     users_.swap(users);
 }
@@ -383,6 +386,11 @@ std::shared_ptr<const users::Access> LoginDesk::access() const {
     auto users = usersNow();
     const auto* its = &users->access();
     return {std::move(users), its};
+}
+
+std::string LoginDesk::fingerprint() const {
+    const std::lock_guard lock(mutex_);
+    return fingerprint_;
 }
 
 bool LoginDesk::mayBeEntityManager(const std::string& user) const {

@@ -72,6 +72,7 @@ class LoginDesk final : public transport::Logins, public users::PresentUsers {
     std::optional<Role> clientRole(const std::string& user) const override;
     bool mayBeEntityManager(const std::string& user) const override;
     std::shared_ptr<const users::Access> access() const override;
+    std::string fingerprint() const override;
     void close();
 
   private:
@@ -118,6 +119,7 @@ class LoginDesk final : public transport::Logins, public users::PresentUsers {
     std::condition_variable changed_;
     // Guarded by mutex_:
     std::shared_ptr<const users::Users> users_;    // null where there are none
+    std::string fingerprint_;                      // of these
     std::map<std::string, Digest> known_;          // by the names of users whose present hash it belongs to
     std::deque<Job> of_known_;                     // before the others
     std::map<std::string, std::deque<Job>> jobs_;  // of each address that has any

@@ -20,6 +20,8 @@ class PresentUsers {
     virtual bool mayBeEntityManager(const std::string& user) const = 0;
     /// Which entities clients may see, check out, take over and rearm. Never null.
     virtual std::shared_ptr<const Access> access() const = 0;
+    /// Of all this, as Users::fingerprint() says it: servers with the same one have the same users.
+    virtual std::string fingerprint() const = 0;
 };
 
 }  // namespace axon::users

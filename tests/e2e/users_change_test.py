@@ -167,11 +167,13 @@ class UsersTest(Users):
         stays(lambda: elsewhere.axon("ls")[0] == 0, "the session at the other machine", 3)
         elsewhere.end()
         self.does(elsewhere, "ls")
+        wait_until(lambda: "has other users than this server" in self.log(), "a server says that the files differ", 60)
         self.copy()
         wait_until(lambda: elsewhere.axon("ls")[0] != 0, "the session at the other machine ends, too")
         elsewhere.end()
         self.assertEqual(self.refused(elsewhere, "ls"), "PERMISSION_DENIED")
         self.wait_until_taken()
+        wait_until(lambda: "has the same users as this server again" in self.log(), "a server says that the files are the same again")
 
     def test_a_file_with_an_error_changes_nothing_and_a_lower_role_does(self):
         good = self.file.read_text()
@@ -237,7 +239,6 @@ class UsersTest(Users):
         lists("")
         for its in client2:
             wait_until(lambda its=its: "left" in self.entities(its), "it is seen again")
-
 
 
 def servers_with(**settings):

@@ -34,7 +34,8 @@ class Client {
   public:
     Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
            const FrontEndCoreSettings& settings, TimePoint now, std::string its_user = {},
-           std::shared_ptr<UserShare> its_share = nullptr, bool is_surplus = false, Duration phase = {})
+           std::shared_ptr<UserShare> its_share = nullptr, bool is_surplus = false, Duration phase = {},
+           std::string why_it_only_watches = {})
         : me(std::move(its_sender)),
           token(std::move(its_token)),
           user(std::move(its_user)),
@@ -42,6 +43,7 @@ class Client {
           connection(data->connection()),
           share(its_share ? std::move(its_share) : std::make_shared<UserShare>(settings)),
           surplus(is_surplus),
+          only_watches(std::move(why_it_only_watches)),
           rate(settings.messages_per_second),
           drill_rate(settings.drills_per_second),
           liveness(settings.watchdog_busy, settings.watchdog_idle, now),
@@ -56,7 +58,7 @@ class Client {
     const void* const connection;            // of data; others may come by it, too
     const std::shared_ptr<UserShare> share;  // with the other sessions of the user
     const bool surplus;                      // beyond the sessions that the user may have
-    std::string only_watches;  // why, where it is surplus and its user may do more; set before others see it
+    const std::string only_watches;          // why, where it is surplus and its user may do more
 
     RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()

@@ -59,7 +59,9 @@ class EntityTopic {
 
     // Of one of several servers; the only one needs none of them.
     /// Data: to all, by the topic. Signal: straight to each that is reached.
-    virtual void frontEndServerUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/) {}
+    /// `users`: the fingerprint of who may log in here; empty where it is not told.
+    virtual void frontEndServerUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/,
+                                      const std::string& /*users*/) {}
     /// The entity servers that signals are sent to directly besides the topic; replaces those named before.
     virtual void reach(const std::vector<ServerAnnouncement>& /*entity_servers*/) {}
 };
