@@ -142,15 +142,14 @@ class Station:
 
 class Port:
     def __init__(self, name, station, speaks, number, tls=None, plain=None, unit=None, revoking=None, gate=None, recorded=True, lane="data",
-                 only=None, of_ice=False, of_cluster=False, rounds=1, like=None, behind=None):
+                 only=None, of_ice=False, of_cluster=False, like=None, behind=None):
         """`tls`, `plain`: addresses; `unit`: the kind of certificate that is right there; `revoking`: (station, address) of a port of
         the same kind that knows of revoked certificates; `gate`: the object that strangers call; `only`: other kinds of certificates
         that the handshake lets in, where it refuses the rest; `of_ice`: a program of Ice's; `of_cluster`: one of the cluster's;
-        `rounds`: how often as many cases, of a port whose cases take so little time that few honest answers come meanwhile; `like`: the
-        name of another port to whose objects the same is said; `behind`: of a router, the station of the server that answers."""
+        `like`: the name of another port to whose objects the same is said; `behind`: of a router, the station of the server that answers."""
         self.name, self.station, self.speaks, self.number = name, station, speaks, number
         self.tls, self.plain, self.unit, self.revoking, self.gate, self.recorded, self.lane = tls, plain, unit, revoking, gate, recorded, lane
-        self.only, self.of_ice, self.of_cluster, self.rounds = only, of_ice, of_cluster, rounds
+        self.only, self.of_ice, self.of_cluster = only, of_ice, of_cluster
         self.like, self.behind = like or name, behind
         self.tries = 0  # how often it has been abused
 
@@ -419,7 +418,7 @@ class Siege:
                   Port("direct-signal-plain", stations["Plain"], "ice", 14, None, loopback(plain.direct_signal_endpoint), gate="DirectGate", lane="direct")]
         low, high = self.robot_ports(1)
         link = next(port for port in range(low, high + 1) if self.listens(port))
-        ports.append(Port("robot-link", self.stations[-1], "link", 15, None, ("127.0.0.1", link), recorded=False, rounds=1 if arguments.quick else 6))
+        ports.append(Port("robot-link", self.stations[-1], "link", 15, None, ("127.0.0.1", link), recorded=False))
         return ports
 
     @staticmethod
@@ -570,7 +569,7 @@ def check_port(siege, port, index):
     figures, failures = collections.Counter(), []
     cases = []
     slow_ones, slow_count = None, 0
-    total = arguments.cases * port.rounds
+    total = arguments.cases
     if not arguments.quick and not arguments.kinds:
         slow_count = figures["half-open, a byte at a time"] = min(30, total // 10)
         total -= slow_count + 1
