@@ -32,7 +32,7 @@ bool isLineOf(std::string_view line, std::string_view name) {
 /// From the '#', with the blanks before it.
 std::string_view commentOf(std::string_view line) {
     if (!line.empty() && line.back() == '\n') line.remove_suffix(1);
-    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+    while (!line.empty() && line.back() == '\r') line.remove_suffix(1);
     const auto hash = line.find('#');
     if (hash == std::string_view::npos) return {};
     return line.substr(line.find_last_not_of(" \t", hash == 0 ? 0 : hash - 1) + 1);

@@ -27,6 +27,8 @@ TEST(UsersFile, AUserIsReplacedInItsPlaceAndOthersAndCommentsStay) {
               "# lab\nclient1 observer new # desk 3\nclient2 admin other\n");
     EXPECT_EQ(withUser(text, "client3", UserRole::Entity, "new"), text + "\nclient3 entity new\n");
     EXPECT_EQ(withUser("", "client1", UserRole::Admin, "new"), "client1 admin new\n");
+    EXPECT_EQ(withUser("client1 operator old # desk 3\r\r\r\n", "client1", UserRole::Admin, "new"),
+              "client1 admin new # desk 3\n");
 }
 
 TEST(UsersFile, AUserIsRemovedAndOthersAndCommentsStay) {
