@@ -524,14 +524,14 @@ class Run:
         try:
             spared |= self.judge_stops(victim, begin, harmed, must, report)
             if kind.harm == "kill":
-                back = time.monotonic()
+                since, how = (begin, "was killed") if replaceable else (time.monotonic(), "came back")
                 with concurrent.futures.ThreadPoolExecutor(1) as beside:
                     restart = beside.submit(server.start_again, victim)
                     if not replaceable:
                         restart.result()
-                    self.judge_use(victim, begin if replaceable else back, "was killed" if replaceable else "came back", report)
+                    self.judge_use(victim, since, how, report)
                     restart.result()
-                self.judge_lists(victim, begin if replaceable else back, "came back", (), report)
+                self.judge_lists(victim, since, "came back", (), report)
                 self.judge_holder(report)
             elif replaceable or not_needed or kind.harm != "freeze":
                 self.judge_recovery(victim, begin, {"lose": "was lost", "freeze": "froze", "partition": "was cut off"}[kind.harm], (victim,), report)

@@ -210,16 +210,21 @@ def wrong_password(siege, port, rng, source):
     return Case(wire.me, port.station)
 
 
-def log_in_flood(siege, port, rng, source):
-    """Many over one connection, without waiting for the answers."""
-    wire, count = Wire(port.plain, source, seconds=60).validated(), rng.randrange(8, 16)
+def flood_of_log_ins(wire, rng, log_in):
+    """Many over one connection, without waiting for the answers; `log_in(number)`: what ice.request() takes."""
+    count = rng.randrange(8, 16)
     for number in range(count):
-        wire.say(ice.request(port.gate, "open", log_in_of(port, rng), context=CONTRACT, number=number + 1))
+        wire.say(ice.request(**log_in(number), context=CONTRACT, number=number + 1))
     for _ in range(count):
         status, reply = wire.reply()
         if status < 1:
             raise NotRefused(f"a log-in was answered with {status}: {reply}")
     wire.close()
+
+
+def log_in_flood(siege, port, rng, source):
+    wire = Wire(port.plain, source, seconds=60).validated()
+    flood_of_log_ins(wire, rng, lambda _: {"identity": port.gate, "operation": "open", "arguments": log_in_of(port, rng)})
     return Case(wire.me, port.station)
 
 
@@ -354,28 +359,21 @@ def router_log_in(siege, port, rng, source):
 
 
 def log_in_at_router(port, number):
-    """Operation and arguments of a log-in with a wrong password, and the category of the router."""
-    return {"operation": "createSession", "arguments": ice.text("ann") + ice.text(f"wrong {number}"),
+    """What ice.request() takes for a log-in with a wrong password."""
+    return {"identity": "router", "operation": "createSession", "arguments": ice.text("ann") + ice.text(f"wrong {number}"),
             "category": "Axon.Entities" if port.unit == "entity" else "Axon.Clients"}
 
 
 def router_log_in_on(port, wire, rng):
     """The server refuses it, and is told the address by the router, whatever the peer itself says of it."""
-    refused(wire, *wire.call("router", **log_in_at_router(port, rng.randrange(1000)),
+    refused(wire, *wire.call(**log_in_at_router(port, rng.randrange(1000)),
                              context={**CONTRACT, "_con.remoteAddress": "192.0.2.1", "_con.remotePort": "1"}))
     return Case(wire.me, port.behind)
 
 
 def router_log_in_flood(siege, port, rng, source):
-    """Many over one connection, without waiting for the answers."""
-    wire, count = siege.wire(port, source).validated(), rng.randrange(8, 16)
-    for number in range(count):
-        wire.say(ice.request("router", **log_in_at_router(port, number), context=CONTRACT, number=number + 1))
-    for _ in range(count):
-        status, reply = wire.reply()
-        if status < 1:
-            raise NotRefused(f"a log-in was answered with {status}: {reply}")
-    wire.close()
+    wire = siege.wire(port, source).validated()
+    flood_of_log_ins(wire, rng, lambda number: log_in_at_router(port, number))
     return Case(wire.me, port.behind)
 
 
